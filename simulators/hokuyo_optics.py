@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from drivers.hokuyo_utm30lx.scans import MAX_ECHOES, NO_ECHO, Ints, Scan, ScanRequest
 from simulators.device import Beams, Sweep, SweepSource
@@ -11,18 +10,14 @@ from simulators.hokuyo_setup import Replies
 
 NEAR_LIMIT_CODE = 4
 FULL_INTENSITY = 16_000  # raw; a recorded unit gave 1744 to 16219
-BEHIND_M = (0.3, 4.0)  # how far behind a pane, a branch or a drop the next echo lies
-WEAKER = 0.6
 
 
 class Optics:
     """Casts the rays of a sweep and writes down what comes back."""
 
-    def __init__(self, source: SweepSource, replies: Replies, further_echo_share: float, seed: int) -> None:
+    def __init__(self, source: SweepSource, replies: Replies) -> None:
         self._source = source
         self._replies = replies
-        self._further_echo_share = further_echo_share
-        self._noise = np.random.default_rng(seed)
 
     def measure(self, request: ScanRequest, step_0_ns: int, step_ns: float, stamp_ms: int) -> Scan:
         """One sweep; step_0_ns is when the mirror passes step 0, host ns."""
@@ -35,8 +30,9 @@ class Optics:
             request.last_step - request.first_step + 1,
         )
         distance_mm, intensity = self._code(self._source.sweep(beams))
-        if request.multi_echo:
-            distance_mm, intensity = self._further_echoes(distance_mm, intensity)
+        if request.multi_echo:  # (3, N), though no beam meets anything behind what it hits
+            none = np.full((MAX_ECHOES - 1, beams.count), NO_ECHO, np.int32)
+            distance_mm, intensity = np.vstack([distance_mm, none]), np.vstack([intensity, none])
         distance_mm, intensity = self._clustered(distance_mm, intensity, max(request.cluster, 1))
         return Scan(request, stamp_ms, distance_mm, intensity if request.with_intensity else distance_mm[:0])
 
@@ -49,21 +45,6 @@ class Optics:
         distance_mm[seen & (distance_mm >= replies.distance_max_mm)] = replies.no_return_mm
         intensity = np.where(seen, np.rint(sweep.intensity * FULL_INTENSITY), 0).astype(np.int32)
         return distance_mm[np.newaxis], intensity[np.newaxis]
-
-    def _further_echoes(self, distance_mm: Ints, intensity: Ints) -> tuple[Ints, Ints]:
-        """(3, N) with NO_ECHO where a beam has fewer."""
-        shape = (MAX_ECHOES, distance_mm.shape[1])
-        distances, intensities = np.full(shape, NO_ECHO, np.int32), np.full(shape, NO_ECHO, np.int32)
-        distances[0], intensities[0] = distance_mm[0], intensity[0]
-        least_mm, most_mm = self._replies.distance_min_mm, self._replies.distance_max_mm
-        through = (distance_mm[0] >= least_mm) & (distance_mm[0] < most_mm)
-        for echo in range(1, MAX_ECHOES):
-            through &= self._noise.random(shape[1]) < self._further_echo_share
-            behind_mm = np.rint(self._noise.uniform(*BEHIND_M, shape[1]) * 1000.0).astype(np.int32)
-            distances[echo, through] = (distances[echo - 1] + behind_mm)[through]
-            weaker: npt.NDArray[np.float64] = intensities[echo - 1] * WEAKER
-            intensities[echo, through] = weaker.astype(np.int32)[through]
-        return distances, intensities
 
     def _clustered(self, distance_mm: Ints, intensity: Ints, cluster: int) -> tuple[Ints, Ints]:
         """Of each `cluster` neighbours the nearest one with a distance, else the first one's code."""

@@ -102,7 +102,6 @@ class Utm30lxSetup:
     motor_speed: float = 1.0  # of nominal; one was seen to take 25.05 ms a turn
     stamps_rear: bool = False  # the moment the mirror looks back, instead of step 0
     no_return_mm: int | None = None  # value of a beam without echo; None: as its model does
-    further_echo_share: float = 0.0  # of the beams, see through to something behind; Ethernet alone
     sums_count_semicolons: bool = False
     refused: frozenset[str] = frozenset()  # commands it does not know: ME, ND ...; also "cluster", "skip"
     cuts_scan_on_quit: bool = False  # QT is answered in the middle of a scan

@@ -46,7 +46,7 @@ class FakeUtm30lx:
     """One device with room for one client. While it runs set `abnormal`, `laser_broken`, `fault_status` (from
     21 to 97: its stream stops with it) or `stalled` (the same scan again and again)."""
 
-    def __init__(self, source: SweepSource, setup: Utm30lxSetup | None = None, seed: int = 0) -> None:
+    def __init__(self, source: SweepSource, setup: Utm30lxSetup | None = None) -> None:
         setup = setup or Utm30lxSetup()
         self.setup = setup
         self.abnormal = False
@@ -57,7 +57,7 @@ class FakeUtm30lx:
         own = {name: getattr(setup, name) for name in ("last_step", "front_step", "no_return_mm")}
         given = {name: value for name, value in own.items() if value is not None}
         self._replies = REPLIES[setup.model, setup.wire]._replace(**given)
-        self._optics = Optics(source, self._replies, setup.further_echo_share, seed)
+        self._optics = Optics(source, self._replies)
         self._decoder = CommandDecoder()
         self._powered_on_ns: int | None = None
         self._answers_from_ns = 0

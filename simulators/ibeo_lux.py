@@ -79,18 +79,13 @@ class LuxSetup:
     fixed: frozenset[int] = frozenset()  # parameters that it reads but refuses to set
     kept: frozenset[int] = frozenset()  # parameters whose change it accepts and does not make
     sets_ntp_at_once: bool = True  # command 0x0034, newer firmware
-    says_ntp: bool = True  # in its message headers
     clock_drift_ppm: float = 0.0  # positive: the device's clock runs fast
-    clock_start_ntp: int = 0
-    first_scan_number: int = 0
     motor_speed: float = 1.0  # of nominal
     labels: int = ScanFlag.DIRT_LABELLED
     height_m: float | None = None  # above ground; None: no ground
     rain_share: float = 0.0  # of the shots that meet a drop before the wall
-    sends_vehicle_state: bool = False
     firmware_code: int = 0x3035
     serial_code: tuple[int, int, int] = (0x1502, 147, 1)
-    temperature_c: float = 31.0
 
 
 class FakeIbeoLux:
@@ -172,10 +167,10 @@ class FakeIbeoLux:
     def power_on(self, now_ns: int) -> None:
         """Also off and on again: the clock starts over, what is not in the flash is forgotten."""
         self._powered_on_ns = self._clock_set_ns = now_ns
-        self._clock_set_ntp = self.setup.clock_start_ntp
+        self._clock_set_ntp = 0
         self._boots_until_ns = now_ns + self.setup.boot_ns
         self._parameters = dict(self._stored)
-        self.number_base, self._next_scan = self.setup.first_scan_number, 0
+        self.number_base = self._next_scan = 0
         self.turning_since_ns = None
         self._pending.clear()
         if self.setup.measuring:
@@ -215,7 +210,7 @@ class FakeIbeoLux:
         return motor | ScannerStatus.LASER_ON | ScannerStatus.FREQUENCY_REACHED
 
     def _message(self, data_type: int, payload: bytes, now_ns: int) -> bytes:
-        return encode(Message(data_type, payload, DEVICE_ID, self.ntp(now_ns) if self.setup.says_ntp else 0))
+        return encode(Message(data_type, payload, DEVICE_ID, self.ntp(now_ns)))
 
     def _period_ns(self) -> float:
         return 256e9 / self._parameters[Parameter.SCAN_FREQUENCY] / self.setup.motor_speed
@@ -258,8 +253,6 @@ class FakeIbeoLux:
         output = self._parameters[Parameter.DATA_OUTPUT]
         if not output & 0x0004:
             self._pending.append(self._message(DataType.OBJECTS, self._objects(index), now_ns))
-        if self.setup.sends_vehicle_state:
-            self._pending.append(self._message(DataType.VEHICLE_STATE, self._vehicle_state(index), now_ns))
         if output & 0x0001 or start % 2 or end % 2:
             return self._pending.popleft() if self._pending else b""
         self.counters["scans_sent"] += 1
@@ -304,9 +297,6 @@ class FakeIbeoLux:
         """An object list with one object that has no contour."""
         return struct.pack("<QH", self.ntp(self._begins_ns(index)), 1) + bytes(58)
 
-    def _vehicle_state(self, index: int) -> bytes:
-        return struct.pack("<QH", self.ntp(self._begins_ns(index)), self._number(index)) + bytes(36)
-
     def _answer(self, payload: bytes, now_ns: int) -> bytes:
         self.counters["requests"] += 1
         try:
@@ -345,7 +335,7 @@ class FakeIbeoLux:
             fpga_code=0x3021,
             status=self.scanner_status(now_ns),
             reserved=bytes(4),
-            temperature_raw=round(579.2364 - 3.63 * self.setup.temperature_c),
+            temperature_raw=round(579.2364 - 3.63 * 31.0),
             serial_code=self.setup.serial_code,
             fpga_time_code=(0x2014, 0x0611, 0x0928),
             firmware_time_code=(0x2015, 0x0114, 0x1332),

@@ -49,6 +49,7 @@ SENDING_JITTER_NS = 60_000
 SCAN_COUNTER_AT_START = 4
 FLAGGED_SCANS = 7
 CALENDAR_LAG_NS = 3_850_000_000  # the calendar starts this long after the microsecond counter
+DEVICE_NAME = "not defined"
 PASSWORDS = {2: 0xB21ACE26, 3: 0xF4724744, 4: 0x81BE23AA}
 STATE_BOOTING, STATE_IDLE, STATE_SPINNING_UP, STATE_STANDBY, STATE_MEASURING = 1, 3, 4, 6, 7
 
@@ -89,7 +90,6 @@ class FakeLms100:
         self._last_scan: ScanTelegram | None = None
         self._subscribed: set[str] = set()
         self._logged_in = False
-        self._refuses_until_ns = 0
         self._pending: deque[bytes] = deque()
         self._output_changes = 0
 
@@ -118,8 +118,6 @@ class FakeLms100:
         return b""
 
     def disconnected(self, now_ns: int) -> None:
-        if "LMDscandata" in self._subscribed:
-            self._refuses_until_ns = now_ns + self.setup.refusal_ns
         self._forget_client()
 
     def _forget_client(self) -> None:
@@ -137,7 +135,7 @@ class FakeLms100:
         for telegram in telegrams:
             if telegram.dialect is not self._dialect:
                 self.counters["requests_in_other_dialect"] += 1
-            elif now_ns < max(self._boots_until_ns, self._refuses_until_ns):
+            elif now_ns < self._boots_until_ns:
                 self.counters["requests_while_deaf"] += 1
             else:
                 answers += encode(self._answer(telegram, now_ns))
@@ -164,13 +162,10 @@ class FakeLms100:
         scan = self._measure(self._next_scan)
         self._next_scan += self.scan_data.interval
         self.counters["scans_sent"] += 1
-        message = encode(write_scan(scan, self._dialect))
-        if self.setup.repeat_every and self.counters["scans_sent"] % self.setup.repeat_every == 0:
-            self._pending.append(message)
         if self._next_scan == FLAGGED_SCANS and "LIDoutputstate" in self._subscribed:
             self._output_changes += 1
             self._pending.append(self._output_event(now_ns))
-        return message
+        return encode(write_scan(scan, self._dialect))
 
     def state(self, now_ns: int) -> int:
         """Content of STlms."""
@@ -185,7 +180,6 @@ class FakeLms100:
         self._forget_client()
         self._decoder = Decoder()
         self._take_factory_settings()
-        self._refuses_until_ns = 0
         self._power_on(now_ns)
         self._turning_since_ns, self._next_scan, self._last_scan = None, 0, None
         if self.setup.measuring:
@@ -282,7 +276,7 @@ class FakeLms100:
             channels_16bit=channels_16bit,
             channels_8bit=channels_8bit,
             outputs=(1 if error else 4, 0),
-            name=self.setup.device_name if self.scan_data.name else None,
+            name=DEVICE_NAME if self.scan_data.name else None,
             comment="" if self.scan_data.comment else None,
             position=(0.0,) * 7 if self.scan_data.position else None,
             encoders=((0, 0),) if self.scan_data.encoder else (),
@@ -360,7 +354,7 @@ class FakeLms100:
             "0": ident,
             "FirmwareVersion": lambda w: w.text(self.setup.firmware + "  "),
             "SerialNumber": lambda w: w.text(str(self.setup.serial_number)),
-            "LocationName": lambda w: w.text(self.setup.device_name),
+            "LocationName": lambda w: w.text(DEVICE_NAME),
             "ODoprh": lambda w: w.u32(1110),
             "ODpwrc": lambda w: w.u32(63),
             "LCMstate": lambda w: w.u8(self.contamination),

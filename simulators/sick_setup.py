@@ -37,11 +37,9 @@ class Lms100Setup:
     scan_data: ScanDataConfig = field(default_factory=lambda: ScanDataConfig(1, False, False))
     measuring: bool = True  # as after a power-up long ago
     serial_number: int = 18_090_362
-    device_name: str = "not defined"
     boot_ns: int = 0  # the port is open but nothing answers
     start_delay_ns: int = 200_000_000  # from standing still to measuring; a real one takes seconds
     reconfigure_delay_ns: int = 300_000_000  # a real one takes 30 s
-    refusal_ns: int = 0  # no answer to a client after one that died while subscribed; real ones up to 60 s
     first_writes_refused: int = 0  # with error 4, as after power-up
     refused: frozenset[str] = frozenset()  # settings by their names; V1.23 denies LMPoutputRange (error A)
     kept: frozenset[str] = frozenset()  # settings whose change is accepted and not made
@@ -52,4 +50,3 @@ class Lms100Setup:
     zero_index_after_sweep: bool | None = None  # False: at the first beam, as documented; None: as recorded
     scale: float = 1.0  # mm per digit
     reach_m: float | None = None  # None: the model's
-    repeat_every: int = 0  # every n-th scan telegram is sent twice

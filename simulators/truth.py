@@ -23,6 +23,7 @@ BISECTIONS = 7  # find an edge inside a beam's footprint to 1/128 of it
 GLASS_COSINE = 0.985  # a pane sends light back when it is met within 10 deg of squarely
 CABINET_LOST, CABINET_BEHIND = 0.7, 0.2  # shares of the beams on a glass cabinet; the others see its front
 CABINET_DEPTH_M = (0.1, 1.0)  # how far behind its front a beam may come from
+MIXED_STEP_M = (0.05, 2.0)  # smaller is no step, larger is distinguished by the pulse
 MIXING_SHARE = (0.1, 0.9)  # an edge nearer than this to the footprint's rim leaves no mixed return
 
 
@@ -79,10 +80,6 @@ class LaserModel:
     quantum_m: float = 0.001
     divergence_rad: float = 0.015  # full width of a beam
     mixed_share: float = 0.4  # of the beams whose footprint straddles a step, those that return from between
-    mixed_step_m: tuple[float, float] = (
-        0.05,
-        2.0,
-    )  # smaller is no step, larger is distinguished by the pulse
     dropout_share: float = 0.0005
 
 
@@ -297,7 +294,7 @@ class LaserTruth:
         right_m = self._cast(ray, moving)[0]
         with np.errstate(invalid="ignore"):  # both sides may be out of sight: inf - inf
             step_m = right_m - left_m
-            mixed = (np.abs(step_m) > model.mixed_step_m[0]) & (np.abs(step_m) < model.mixed_step_m[1])
+            mixed = (np.abs(step_m) > MIXED_STEP_M[0]) & (np.abs(step_m) < MIXED_STEP_M[1])
         share = (half - left) / model.divergence_rad
         mixed &= (share > MIXING_SHARE[0]) & (share < MIXING_SHARE[1])
         return edge[mixed], left_m[mixed], step_m[mixed]

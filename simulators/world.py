@@ -252,7 +252,6 @@ class Plan:
         end: Point,
         gaps: Sequence[tuple[float, float]] = (),
         thickness: float = 0.12,
-        reflectivity: float = 0.6,
     ) -> None:
         """A wall with two faces around its centre line; gaps are (from, to) along it, measured from begin."""
         length = math.dist(begin, end)
@@ -263,7 +262,7 @@ class Plan:
                 middle = (low + high) / 2
                 centre = (begin[0] + c * middle, begin[1] + s * middle)
                 turn_deg = math.degrees(math.atan2(s, c))
-                self.box(centre, (high - low, thickness), turn_deg, reflectivity)
+                self.box(centre, (high - low, thickness), turn_deg, 0.6)
 
     def sunk_doors(
         self,
@@ -272,7 +271,6 @@ class Plan:
         doors: Sequence[float],
         depth: float = 0.25,
         width: float = 0.9,
-        reflectivity: float = 0.6,
     ) -> None:
         """One face of a wall with door niches: each begins that far from `begin` and recedes to the left (a
         negative depth: to the right).
@@ -284,7 +282,7 @@ class Plan:
             outline += [(at, 0.0), (at, depth), (at + width, depth), (at + width, 0.0)]
         outline.append((length, 0.0))
         points = [(begin[0] + c * u - s * v, begin[1] + s * u + c * v) for u, v in outline]
-        self.line(*points, reflectivity=reflectivity)
+        self.line(*points)
 
     def door(self, hinge: Point, closed_deg: float, open_deg: float = 0.0, width: float = 0.9) -> None:
         """A door leaf: a board that hangs at `hinge`; closed_deg is its direction when shut."""

@@ -9,7 +9,7 @@ from drivers.hokuyo_utm30lx.models import ModelName
 from simulators.device_kind import DeviceKind, LaserOptions
 from simulators.hokuyo_setup import REPLIES, Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
-from simulators.truth import URG04LX, UST, UTM30LX, Ride, seed_of
+from simulators.truth import URG04LX, UST, UTM30LX, Ride
 from simulators.wire import PtyWire, TcpWire
 
 OPTICS = {"utm_30lx": UTM30LX, "ust": UST, "urg_04lx_ug01": URG04LX}
@@ -43,7 +43,7 @@ def build(name: str, options: Utm30lxOptions, ride: Ride, seed: int) -> TcpWire 
         motor_speed=options.motor_speed,
         refused=frozenset(filter(None, (options.refuses,))),
     )
-    device = FakeUtm30lx(source, setup, seed_of(seed, name))
+    device = FakeUtm30lx(source, setup)
     if wire == "usb":
         return PtyWire(device, options.link)
     return TcpWire(device, options.host, options.port)
