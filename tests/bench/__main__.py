@@ -25,18 +25,14 @@ def main() -> int:
         fleet,
         live,
         reading,
-        replaying,
-        scans,
         secured,
         site,
         start_up,
     )
 
     benchmarks: dict[str, Callable[[], list[Row]]] = {
-        "scans": scans.measure,
         "decoding": decoding.measure,
         "reading": reading.measure,
-        "replay": replaying.measure,
         "cluster": cluster.measure,
         "fleet": fleet.measure,
         "site": site.measure,
