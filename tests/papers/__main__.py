@@ -16,7 +16,6 @@ PAPERS = {
     "owolm_eskf": "Orthogonal weights and an IMU: profile `owolm_eskf` (Qian et al. 2019)",
     "imle": "Exhaustive search: profile `imle` (Tang et al. 2014)",
     "submap_graph": "Sub-maps and a graph: profile `submap_graph` (Zhang et al. 2016)",
-    "one_cycle": "One cycle of a profile, box by box",
     "real_data": "Every profile on recorded data",
 }
 
