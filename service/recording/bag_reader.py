@@ -10,21 +10,19 @@ from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
 
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1.reader import ReaderError
 from rosbags.rosbag2 import Reader as Ros2Reader
-from rosbags.typesys import get_types_from_msg
 
 from service.encoding import (
     Message,
 )
 from service.encoding.ros_messages import FIELDDEFS
 from service.errors import InputError
-from service.recording.mcap_reader import Topic
-from service.recording.ros1_messages import cdr_of_ros1, ros2_type
+from service.recording.definitions import cdr_of_ros1, is_known, ros2_type
+from service.recording.mcap_reader import ANOTHER, Topic
 from service.recording.ros1_scan import Scan, ScannedReader, scan_bag, unpacked_chunk
 from service.recording.unpacking import ROS1, SQLITE, Unpacked, plain
 
@@ -60,7 +58,7 @@ class Bag:
         self.first_log_ns = min((first for first, _ in spans), default=0)
         self.last_log_ns = max((last for _, last in spans), default=0)
         self.topics = [
-            Topic(name, type_name, "cdr" if name not in self._unknown else "another message of its name", n)
+            Topic(name, type_name, "cdr" if name not in self._unknown else ANOTHER, n)
             for (name, type_name), n in sorted(counts.items())
         ]
 
@@ -146,17 +144,5 @@ def refuse_other_than_tables(path: Path) -> None:
 
 
 def _is_known(connection: Connection) -> bool:
-    """Whether the bag's own definition of a type has the fields that are read here."""
-    if (
-        connection.msgdef.format != MessageDefinitionFormat.MSG
-        or ros2_type(connection.msgtype) not in FIELDDEFS
-    ):
-        return True
-    types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
-    return all(_same_fields(name, fields) for name, (_, fields) in types.items())
-
-
-def _same_fields(name: str, fields: list[Any]) -> bool:
-    """ROS 1 has a seq in its header besides."""
-    ours = FIELDDEFS.get(ros2_type(name))
-    return ours is not None and [field for field in fields if field[0] != "seq"] == ours[1]
+    is_text = connection.msgdef.format == MessageDefinitionFormat.MSG
+    return not is_text or is_known(connection.msgtype, connection.msgdef.data)

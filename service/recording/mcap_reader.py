@@ -20,11 +20,13 @@ from service.encoding import Message
 from service.encoding.ros_messages import FIELDDEFS
 from service.errors import InputError, words_of
 from service.limits import MAX_WAITING_BYTES, Unpacking, check
+from service.recording.definitions import cdr_of_ros1, is_known, ros2_type
 from service.recording.mcap_chunks import all_records, chunk_records
-from service.recording.ros1_messages import cdr_of_ros1, ros2_type
 from service.recording.unpacking import MCAP, Unpacked, plain
 
 ROS1_ENCODING = "ros1"  # of `mcap convert` from a bag of ROS 1
+DEFINITIONS = ("ros1msg", "ros2msg")  # encodings of schemas
+ANOTHER = "another message of its name"  # in place of the encoding: the recording defines other fields
 RECORD_HEAD_BYTES = 9  # opcode, and length of what follows
 MESSAGE_BYTES = 300  # that a message takes in memory besides its payload
 
@@ -35,7 +37,7 @@ class Topic:
 
     name: str
     type: str
-    encoding: str  # "cdr" for ROS 2
+    encoding: str  # "cdr" for ROS 2, ANOTHER
     count: int
 
     def __str__(self) -> str:
@@ -268,8 +270,12 @@ class _Walk:
         self._file = file
         self._stream = stream
         self._from_ns, self._to_ns = from_ns, to_ns
-        channels = file.summary.channels
-        self._ids = {k for k, channel in channels.items() if topics is None or channel.topic in topics}
+        schemas = file.summary.schemas
+        self._ids = {
+            k
+            for k, channel in file.summary.channels.items()
+            if (topics is None or channel.topic in topics) and _topic(channel, schemas, 0).encoding != ANOTHER
+        }
         self._unpacking = Unpacking(file.file.given, file.file.size)
         self._waiting: list[tuple[_Place, ChunkIndex | Record]] = []
         self._waiting_bytes = 0
@@ -324,8 +330,19 @@ class _Walk:
 def _topic(channel: Channel, schemas: dict[int, Schema], count: int) -> Topic:
     schema = schemas.get(channel.schema_id)
     type_name = _type_name(schema.name if schema is not None else "")
-    is_turned = channel.message_encoding == ROS1_ENCODING and type_name in FIELDDEFS
-    return Topic(channel.topic, type_name, "cdr" if is_turned else channel.message_encoding, count)
+    encoding = channel.message_encoding
+    if encoding == ROS1_ENCODING and type_name in FIELDDEFS:
+        encoding = "cdr"
+    if not is_known(type_name, _definition(schema)):
+        encoding = ANOTHER
+    return Topic(channel.topic, type_name, encoding, count)
+
+
+def _definition(schema: Schema | None) -> str:
+    """Its .msg of ROS 1 or ROS 2; "" without one."""
+    if schema is None or schema.encoding not in DEFINITIONS:
+        return ""
+    return schema.data.decode(errors="replace")
 
 
 def _type_name(schema: str) -> str:

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drivers.frames import ImuSample, LaserScan, OdometrySample
 from service.cli import main
-from service.encoding import LASER_SCAN, Message, encode_frame
+from service.encoding import LASER_SCAN, Message, encode_frame, schema_text
 from service.errors import InputError, StorageError
 from service.offline.importing.carmen import import_carmen
 from service.offline.importing.rosbag import import_rosbag
@@ -133,6 +134,22 @@ def test_a_scan_of_another_definition_is_passed_over(tmp_path):
         writer.write(writer.add_connection("/scan", LASER_SCAN, typestore=store), T0_NS, raw)
     with pytest.raises(InputError, match=r"passed over /scan .*another message of its name"):
         import_rosbag(tmp_path / "other.bag", tmp_path / "out.mcap")
+
+
+def test_a_scan_of_another_definition_is_passed_over_in_an_mcap_too(tmp_path):
+    """With the same fields in another order, whose bytes would be read as others."""
+    a, b = "float32 range_min", "float32 range_max"
+    swapped = schema_text(LASER_SCAN).replace(f"{a}\n{b}", f"{b}\n{a}")
+    assert swapped != schema_text(LASER_SCAN)
+    with (tmp_path / "other.mcap").open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        schema = writer.register_schema(LASER_SCAN, "ros2msg", swapped.encode())
+        channel = writer.register_channel("/scan", "cdr", schema)
+        writer.add_message(channel, T0_NS, scan_message(0).payload, T0_NS)
+        writer.finish()
+    with pytest.raises(InputError, match=r"passed over /scan .*another message of its name"):
+        import_rosbag(tmp_path / "other.mcap", tmp_path / "out.mcap")
 
 
 REAL = [
