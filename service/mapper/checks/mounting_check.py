@@ -85,9 +85,8 @@ class MountingCheck:
         self._missed = 0
 
     def _judge(self) -> None:
-        # In directions without information the offset is unchanged.
         correction, covariance = _robust_mean(np.array(self._information), np.array(self._weighed))
-        self._offset = self._offset + correction
+        self._offset = self._offset + _bounded(correction, covariance)
         sigma_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[0]))
         if math.sqrt(covariance[2, 2]) > KNOWN_RAD or sigma_m > KNOWN_M:
             return
@@ -128,3 +127,18 @@ def _robust_mean(information: Matrix, weighed: Matrix) -> tuple[Matrix, Matrix]:
         excess = max(float(np.median(chi2)) / CHI2_MEDIAN_OF_3, 1.0)
         counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
     return offset, covariance
+
+
+def _bounded(correction: Matrix, covariance: Matrix) -> Matrix:
+    """(3,) the correction, m, m, rad; in directions that are known no better than before the search at most
+    by its sigmas.
+
+    Else a few chance inliers put the next scans where nothing is right: those of a laser that looks to the
+    front, in a map of what lies behind.
+    """
+    scale = np.sqrt(np.diag(SEARCHED))
+    variances, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
+    steps = directions.T @ (correction / scale)
+    steps = np.where(variances <= 1.0, steps, np.clip(steps, -1.0, 1.0))
+    bounded: Matrix = scale * (directions @ steps)
+    return bounded

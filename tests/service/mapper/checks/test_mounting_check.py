@@ -8,12 +8,14 @@ import pytest
 
 from service.estimator.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
-from service.mapper.checks.mounting_check import MountingCheck
+from service.mapper.checks.mounting_check import SEARCHED, MountingCheck
 from service.mapper.checks.stamp_check import BATCH
 
 SIGMA = np.diag([0.004, 0.004, math.radians(0.2)])
 TURNED = SE2(0.0, 0.0, math.pi / 2.0)
 OPEN = np.diag([0.0, 1.0, 1.0])  # a corridor: nothing is known along it
+CHANCE = np.diag([1e-6, 1e-6, 1e-4])  # by chance inliers: sigmas of 4 m and 20 deg
+HERE = Prediction(SE2(1.0, 2.0, 0.3), (1.0, 0.0, 0.2), SIGMA, SIGMA, np.zeros((3, 3)), 0.1, 0.0, True)
 
 
 def compare(
@@ -26,10 +28,9 @@ def compare(
     seen, rng = np.eye(3) if seen is None else seen, np.random.default_rng(3)
     check = MountingCheck()
     check.begin()
-    here = Prediction(SE2(1.0, 2.0, 0.3), (1.0, 0.0, 0.2), SIGMA, SIGMA, np.zeros((3, 3)), 0.1, 0.0, True)
     for number, offset in enumerate(offsets):
-        prior = check.search_prior(here, 0.0)
-        off = (prior.pose_odom_base.inverse() @ here.pose_odom_base @ offset).log()
+        prior = check.search_prior(HERE, 0.0)
+        off = (prior.pose_odom_base.inverse() @ HERE.pose_odom_base @ offset).log()
         information = seen @ np.linalg.inv(SIGMA @ SIGMA)
         covariance = np.linalg.inv(information + np.linalg.inv(prior.local_covariance))
         found = covariance @ information @ (off + SIGMA @ rng.standard_normal(3))
@@ -55,6 +56,13 @@ def test_a_mounting_that_is_off_is_measured_beside_such_scans():
     assert check.fault.startswith(
         "is off its configured mounting by +5.0 deg, +0.10 m ahead and -0.05 m left"
     )
+
+
+def test_chance_inliers_move_the_search_by_its_sigmas_at_most():
+    check = compare([SE2(-3.0, 0.5, 0.2)] * BATCH, CHANCE)
+    moved = HERE.pose_odom_base.inverse() @ check.search_prior(HERE, 0.0).pose_odom_base
+    assert (np.abs(moved.log()) <= 1.02 * np.sqrt(np.diag(SEARCHED))).all()
+    assert (check.is_right, check.fault) == (False, "")
 
 
 def test_a_mounting_is_not_judged_while_ahead_and_behind_look_alike():
