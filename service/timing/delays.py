@@ -17,6 +17,7 @@ SAME_DELAY_NS = 250_000_000  # between two delays of one clock
 MIN_AGREEING_SHARE = 0.6  # of the messages, whose delays agree
 MIN_ORDINARY = 0.3  # of the messages, where the newest are: the others were stamped by a clock that was set
 MIN_MESSAGES = 3
+COPY_SHARE = 0.5  # of the usual time between two messages, within which a copy comes
 FASTEST_SHARE = 0.05  # of the delays are passed over in search of the fastest: single stamps may be ahead
 SHORTEST_DELAY_NS = 2_000_000  # of a message to the log; 0.3 to 3 ms by device, docs/decisions/0003-time.md
 MIN_SIGMA_NS = 5_000_000  # of an offset, as log times do not tell that
@@ -48,7 +49,7 @@ def is_ordinary(delay_ns: int) -> bool:
 
 def clock_of(stamp_ns: Sequence[int], log_ns: Sequence[int]) -> Clock:
     """Of messages in the order of their log times; one or more."""
-    stamps, logs = np.array(stamp_ns, np.int64), np.array(log_ns, np.int64)
+    stamps, logs = _without_copies(np.array(stamp_ns, np.int64), np.array(log_ns, np.int64))
     delays = logs - stamps
     near = delays[np.abs(delays - _middle(delays)) <= MAX_LATENCY_NS]
     ordinary = (delays >= -MAX_AHEAD_NS) & (delays <= MAX_LATENCY_NS)
@@ -60,6 +61,14 @@ def clock_of(stamp_ns: Sequence[int], log_ns: Sequence[int]) -> Clock:
     return Clock(
         _verdict(stamps, logs, near, is_kept), fastest_ns - SHORTEST_DELAY_NS, sigma_ns, len(stamps), distinct
     )
+
+
+def _without_copies(stamps: Stamps, logs: Stamps) -> tuple[Stamps, Stamps]:
+    """A message that comes at once after one with its stamp is a copy: the topic was recorded twice."""
+    at_once_ns = COPY_SHARE * (logs[-1] - logs[0]) / max(len(logs) - 1, 1)
+    is_new = np.ones(len(stamps), np.bool_)
+    is_new[1:] = (np.diff(stamps) != 0) | (np.diff(logs) > at_once_ns)
+    return stamps[is_new], logs[is_new]
 
 
 def _verdict(stamps: Stamps, logs: Stamps, near: Stamps, is_kept: bool) -> Verdict:

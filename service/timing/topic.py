@@ -8,6 +8,7 @@ from typing import Literal
 from drivers.counted import counted
 from drivers.frames import Frame, ImuSample, LaserScan, OdometrySample
 from service.timing.delays import (
+    COPY_SHARE,
     MAX_AHEAD_NS,
     MAX_LATENCY_NS,
     SAME_DELAY_NS,
@@ -243,7 +244,7 @@ class Topic:
         """After a message with the stamp of the one before: whether log times serve from here on."""
         assert self.first_ns is not None
         usual_ns = (self.newest_ns - self.first_ns) / self.messages
-        self._same += log_ns - self._newest_log_ns > 0.5 * usual_ns  # a copy comes at once
+        self._same += log_ns - self._newest_log_ns > COPY_SHARE * usual_ns
         if self._same < MIN_SAME or self._same <= MAX_SAME * self.messages:
             return False
         self.source = "log"

@@ -206,6 +206,16 @@ def test_messages_that_come_twice_are_dropped_and_their_stamps_are_used():
     ]
 
 
+def test_the_offset_of_a_topic_that_was_recorded_twice_is_taken_out():
+    samples = [sample(k, 253 * S) for k in range(120)]
+    copies = [replace(one, arrived_ns=one.arrived_ns + MS) for one in samples]
+    run = Run(by_log_time(*map(scan, range(60)), *samples, *copies))
+    assert run.of(OdometrySample) == [sample(k) for k in range(120)]
+    offset, dropped = run.warnings
+    assert offset.startswith("/base/odom: its stamps are 253.000 s ahead of those of the other topics")
+    assert dropped.endswith("120 with the stamp of the one before")
+
+
 def test_a_clock_that_is_set_while_driving_changes_no_time():
     run = Run(changed(lambda f: is_sample(f) and f.stamp_ns > T0_NS + 3 * S, stamp_ns=5 * S))
     after = [frame.stamp_ns for frame in run.of(OdometrySample)]
