@@ -40,6 +40,7 @@ from service.recording.vehicle import Converter, Vehicle
 
 # A sweep so wide takes most of a laser's period; those of one instant are flash sensors, and narrower.
 MAX_INSTANT_DEG = 200.0
+MAX_LOG_NS = 2**63 - 1
 INSTANT = "instant"  # scans that report it nevertheless
 SPAN = "span"  # scans of which span_fault has something to say
 
@@ -184,14 +185,14 @@ class Session:
                 if sensor is None:
                     self.counters[f"{topic} refused"] += 1
                     continue
-                frame = self.decode(message, sensor)
+                frame = self.decode(message, sensor) if message.log_ns <= MAX_LOG_NS else None
             except InputError:
                 frame = None
             if message.type == ODOMETRY and (fault := odometry_fault(message.payload)):
                 self.counters[f"{topic} {fault}"] += 1
             if frame is None or sensor is None:
                 self.counters[f"{topic} unusable"] += 1
-                if fault := scan_fault(message.type, message.payload):
+                if fault := _log_fault(message) or scan_fault(message.type, message.payload):
                     self.examples.setdefault(f"{topic} unusable", fault)
                 continue
             self.counters[topic] += 1
@@ -221,6 +222,11 @@ class Session:
             self.counters[f"/{event.channel} unusable"] += 1
             return []
         return [] if step is None else [step]
+
+
+def _log_fault(message: Message) -> str:
+    """Of a log time that MCAP can hold and no int64; "" for others."""
+    return f"the log time is {message.log_ns} ns" if message.log_ns > MAX_LOG_NS else ""
 
 
 def _is_instant(scan: LaserScan) -> bool:

@@ -323,6 +323,15 @@ def test_what_cannot_be_used_is_reported_by_topic_and_why(foreign):
     ]
 
 
+def test_messages_logged_at_a_time_that_no_int64_holds_are_reported(foreign):
+    late = replace(scan_message(1), log_ns=2**63)
+    session = open_session(foreign.add_message("/scan", scan_message(0)).add_message("/scan", late).close())
+    assert len(list(session.frames())) == 1
+    assert session.losses == [
+        "/scan: 1 of 2 messages cannot be used; of the first the log time is 9223372036854775808 ns"
+    ]
+
+
 @pytest.mark.parametrize(
     ("span_deg", "beam_interval_ns", "is_reported"),
     [(359.0, 0, True), (359.0, 300_000, False), (180.0, 0, False)],
