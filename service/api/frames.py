@@ -36,7 +36,8 @@ def scan(
     from straight ahead in the laser's frame, at stamp_ns + i * beam_interval_ns. Of a laser that is mounted
     upside down both angles are negated.
 
-    range_m           (N,) m; NaN, inf, 0 and what is not within range_min_m and range_max_m is no return
+    range_m           (N,) m; NaN, inf, 0, what a mask of numpy covers, and what is not within range_min_m and
+                      range_max_m is no return
     stamp_ns          Unix time of beam 0, ns; any other clock that all frames share will do
     sensor            name of the laser, as in the mountings of the mapper
     beam_interval_ns  from one beam to the next; 0: the sweep is one instant, nothing is deskewed
@@ -145,7 +146,11 @@ def fix(
 
 
 def _row(values: npt.ArrayLike, name: str, sensor: str) -> npt.NDArray[np.float32]:
-    row = np.array(values, np.float32)  # copied: a frame makes its arrays read-only
+    try:
+        # copied: a frame makes its arrays read-only
+        row = np.ma.filled(np.ma.array(values, np.float32, copy=True), np.nan)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{sensor}: {name} are no numbers: {error}") from error
     if row.ndim != 1:
         raise InputError(f"{sensor}: {name} of shape {row.shape}; expected one row, (N,)")
     return row

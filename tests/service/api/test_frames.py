@@ -16,6 +16,11 @@ def test_a_scan_is_what_the_wire_makes_of_it():
     assert made.angle_step_rad == pytest.approx(0.5)
 
 
+def test_what_a_mask_covers_is_no_return():
+    made = corridor.scan(np.ma.masked_less(np.array([1.0, 2.0, 3.0]), 2.0), 0.0, 0.1, 0)
+    np.testing.assert_array_equal(made.range_m, np.float32([np.nan, 2.0, 3.0]))
+
+
 def test_the_array_of_the_program_stays_writable():
     range_m = np.ones(5, np.float32)
     made = corridor.scan(range_m, 0.0, 0.1, 0)
@@ -42,6 +47,7 @@ def test_samples_and_fixes_keep_their_values():
     ("make", "words"),
     [
         (lambda: corridor.scan([[1.0]], 0.0, 0.1, 0), r"range_m of shape \(1, 1\); expected one row"),
+        (lambda: corridor.scan(["1.0 m"], 0.0, 0.1, 0), "laser: range_m are no numbers"),
         (lambda: corridor.scan([1.0, 2.0], 0.0, 0.0, 0), "angle_step_rad that is not 0"),
         (lambda: corridor.scan([], 0.0, 0.1, 0), "no measurement"),
         (lambda: corridor.scan([1.0], math.nan, 0.1, 0), "finite first_angle_rad"),
