@@ -202,7 +202,7 @@ class Estimator:
         if self._still.is_stuck:
             return Reason(
                 "odometry_stuck",
-                "odometry contradicts the scans (it says the same pose again and again while they move) and "
+                "odometry contradicts the scans (it says the same position again and again while they move) and "
                 "is not used; is an encoder dead, does its driver repeat its last message?",
             )
         distance, turns = self.filter.noise.tolist()
@@ -407,7 +407,7 @@ class Estimator:
                 ):
                     self._is_unconfirmed_stop = self._still.is_unconfirmed_stop
                     return True
-                value = (*track.value[last, :3].tolist(), *value[3:])  # without what rounding added
+                value = (*track.value[last, :2].tolist(), *value[2:])  # without what rounding added
             else:
                 # The motion while odometry was stuck is unknown.
                 is_dead = self._still.is_stuck or self._still.is_unconfirmed_stop

@@ -2,7 +2,8 @@
 
 By its model a dead encoder measures standstill more precisely than any other source. The same pose is used
 only from odometry that has moved before, and after a stop that a vehicle can make or that scans confirm.
-Odometry that stood while the vehicle moved is used again once its pose changes.
+Odometry that stood while the vehicle moved is used again once its pose changes. The same holds of a position
+that repeats while the heading changes: a gyro may measure that, or the vehicle turns on the spot.
 """
 
 import math
@@ -43,20 +44,21 @@ class Standstill:
     has_moved: bool = False  # at least once
     is_stuck: bool = False  # odometry stands while the vehicle moves
     is_unconfirmed_stop: bool = False  # odometry stopped faster than a vehicle brakes; no scan confirms it
+    _is_turning: bool = False  # the heading changes, the position does not
     _since_ns: int | None = None  # stamp of the first repeated sample
     _stop: _ImpossibleStop | None = None  # until a scan confirms it
 
     def is_repeated(
         self, pose: tuple[float, float, float], last: npt.NDArray[np.float64], state: Filter
     ) -> bool:
-        """Whether a sample repeats the last pose (3,): to the last bit, or but for rounding while the vehicle
-        moves.
+        """Whether a sample repeats the last pose (3,): to the last bit, or but for rounding, or but for the
+        heading, while the vehicle moves.
         """
         x_m, y_m, theta_rad = (pose - last).tolist()
+        self._is_turning = abs(theta_rad) >= ROUNDING_RAD
         if x_m == y_m == theta_rad == 0.0:
             return True
-        is_rounded = math.hypot(x_m, y_m) < ROUNDING_M and abs(theta_rad) < ROUNDING_RAD
-        return is_rounded and (self.is_stuck or _is_moving(state))
+        return math.hypot(x_m, y_m) < ROUNDING_M and (self.is_stuck or self._is_moving(state))
 
     def is_uninformative(self, stamp_ns: int, track: Track, state: Filter, period_s: float) -> bool:
         """Whether such a sample is no evidence of standstill.
@@ -70,7 +72,8 @@ class Standstill:
         if is_scan_missing and stamp_ns - scan_ns <= MISSED_SCANS * period_s * 1e9:
             return False  # no scan is expected yet
         if self._since_ns is None:
-            self._since_ns, self._stop = stamp_ns, _impossible_stop(stamp_ns, track, state)
+            self._since_ns = stamp_ns
+            self._stop = _impossible_stop(stamp_ns, track, state, self._is_turning)
         if is_scan_missing:
             self.is_unconfirmed_stop = self._stop is not None
             return self.is_unconfirmed_stop
@@ -79,15 +82,15 @@ class Standstill:
             self.is_stuck = True
         if self._stop is not None and not _keeps_speed(self._stop, state):
             self._stop = None
-        if scan_ns - self._since_ns > STUCK_NS and (self._stop is not None or _is_moving(state)):
+        if scan_ns - self._since_ns > STUCK_NS and (self._stop is not None or self._is_moving(state)):
             self.is_stuck = True
-        return self.is_stuck or not self.has_moved or self._stop is not None
+        return self.is_stuck or not (self.has_moved or self._is_turning) or self._stop is not None
 
-
-def _is_moving(state: Filter) -> bool:
-    """Whether the speed at the last scan differs significantly from zero."""
-    variance = np.diag(state.covariance)[TWIST : TWIST + 3] + np.square(STANDSTILL_SIGMA)
-    return bool(np.any(np.square(state.twist) > MOVING_SIGMAS**2 * variance))
+    def _is_moving(self, state: Filter) -> bool:
+        """Whether the speed at the last scan, ahead if the heading changes, differs significantly from zero."""
+        variance = np.diag(state.covariance)[TWIST : TWIST + 3] + np.square(STANDSTILL_SIGMA)
+        is_moving = np.square(state.twist) > MOVING_SIGMAS**2 * variance
+        return bool(is_moving[0] if self._is_turning else is_moving.any())
 
 
 def _keeps_speed(stop: _ImpossibleStop, state: Filter) -> bool:
@@ -104,7 +107,9 @@ def _moved_farther(stop: _ImpossibleStop, state: Filter) -> bool:
     return is_farther or abs(theta_rad) > stop.turn_rad + STUCK_RAD
 
 
-def _impossible_stop(stamp_ns: int, track: Track, state: Filter) -> _ImpossibleStop | None:
+def _impossible_stop(
+    stamp_ns: int, track: Track, state: Filter, is_turning: bool
+) -> _ImpossibleStop | None:
     """The impossible stop at odometry's newest sample; None: a vehicle can have stopped so.
 
     Both of the last two steps are tested, because odometry may have stood for part of the last one.
@@ -119,7 +124,7 @@ def _impossible_stop(stamp_ns: int, track: Track, state: Filter) -> _ImpossibleS
         stopped_s = max(last_ns - int(track.stamp_ns[k]), stamp_ns - last_ns) * 1e-9
         speed_mps, turn_radps = math.hypot(x_m, y_m) / elapsed_s, abs(wrap_angle(theta_rad)) / elapsed_s
         brakes = speed_mps <= MAX_BRAKING_MPS2 * stopped_s
-        brakes_turn = turn_radps <= MAX_TURN_BRAKING_RADPS2 * stopped_s
+        brakes_turn = is_turning or turn_radps <= MAX_TURN_BRAKING_RADPS2 * stopped_s
         if brakes and brakes_turn:
             continue
         lead_s = max((last_ns - int(state.stamp_ns[0])) * 1e-9, 0.0)
@@ -128,6 +133,6 @@ def _impossible_stop(stamp_ns: int, track: Track, state: Filter) -> _ImpossibleS
             turn_radps=0.0 if brakes_turn else turn_radps,
             pose=state.pose.copy(),
             path_length_m=speed_mps * lead_s,
-            turn_rad=turn_radps * lead_s,
+            turn_rad=math.inf if is_turning else turn_radps * lead_s,
         )
     return None

@@ -53,11 +53,41 @@ def test_odometry_that_repeats_its_pose_is_used_only_at_standstill(
             faults.append(model.fault)
     # The one that dies unnoticed is detected by the scans that contradict it.
     assert max(off_m) < most_m
-    assert faults[-1].startswith("odometry contradicts the scans (it says the same pose again") is (
+    assert faults[-1].startswith("odometry contradicts the scans (it says the same position again") is (
         dies_ms is not None
     )
     if dies_ms is None:
         assert not any(faults)
+
+
+def test_a_position_that_repeats_while_the_heading_changes_is_no_standstill() -> None:
+    """The encoder dies, the heading comes from a gyro; scans measure the motion to 15 mm."""
+    model, random = Estimator(EstimatorConfig()), np.random.default_rng(5)
+    for stamp_ms in range(0, 6001, 20):
+        way_m = stamp_ms * 1e-3
+        said = SE2(min(way_m, DEAD_MS * 1e-3), 0.0, random.normal(0.0, 1e-4))
+        assert model.add(odometry(stamp_ms, said))
+        if stamp_ms % 100 == 0:
+            model.predict(stamp_ms * MS)
+            seen = SE2(way_m + random.normal(0.0, 0.015), 0.0, 0.0)
+            found = model.correct(matched(seen, VAGUE)).pose_odom_base
+            assert found.x_m == pytest.approx(way_m, abs=0.08)
+    assert model.fault.startswith("odometry contradicts the scans (it says the same position again")
+
+
+def test_a_vehicle_that_stops_and_turns_on_the_spot_is_measured() -> None:
+    model, stands_ms = Estimator(EstimatorConfig()), (2000, 4000)
+    for stamp_ms in range(0, 4401, 20):
+        turned_rad = max(stamp_ms - 2500, 0) * 1e-3
+        pose = SE2(way_m_at(min(stamp_ms, 3900), stands_ms), 0.0, turned_rad)
+        assert model.add(odometry(stamp_ms, pose))
+        if stamp_ms % 100 == 0 and stamp_ms <= 4000:
+            model.predict(stamp_ms * MS)
+            model.correct(matched(pose, VAGUE))
+            assert not model.fault
+    predicted = model.predict(4400 * MS)
+    assert predicted.is_measured
+    assert predicted.pose_odom_base.theta_rad == pytest.approx(1.9, abs=0.01)
 
 
 def found_after_hanging(counts: bool) -> list[SE2]:
