@@ -202,8 +202,8 @@ class Estimator:
         if self._still.is_stuck:
             return Reason(
                 "odometry_stuck",
-                "odometry contradicts the scans (it says the same position again and again while they move) and "
-                "is not used; is an encoder dead, does its driver repeat its last message?",
+                "odometry contradicts the scans (it says the same position again while they move) and is not "
+                "used; is an encoder dead, does its driver repeat its last message?",
             )
         distance, turns = self.filter.noise.tolist()
         gyro = float(self.filter.gyro_noise[0])

@@ -87,7 +87,7 @@ class Standstill:
         return self.is_stuck or not (self.has_moved or self._is_turning) or self._stop is not None
 
     def _is_moving(self, state: Filter) -> bool:
-        """Whether the speed at the last scan, ahead if the heading changes, differs significantly from zero."""
+        """Whether the speed at the last scan (that ahead if the heading changes) is significant."""
         variance = np.diag(state.covariance)[TWIST : TWIST + 3] + np.square(STANDSTILL_SIGMA)
         is_moving = np.square(state.twist) > MOVING_SIGMAS**2 * variance
         return bool(is_moving[0] if self._is_turning else is_moving.any())
@@ -107,9 +107,7 @@ def _moved_farther(stop: _ImpossibleStop, state: Filter) -> bool:
     return is_farther or abs(theta_rad) > stop.turn_rad + STUCK_RAD
 
 
-def _impossible_stop(
-    stamp_ns: int, track: Track, state: Filter, is_turning: bool
-) -> _ImpossibleStop | None:
+def _impossible_stop(stamp_ns: int, track: Track, state: Filter, is_turning: bool) -> _ImpossibleStop | None:
     """The impossible stop at odometry's newest sample; None: a vehicle can have stopped so.
 
     Both of the last two steps are tested, because odometry may have stood for part of the last one.
