@@ -205,19 +205,19 @@ def test_names_that_stdout_cannot_encode_are_printed_with_escapes(
     assert "\\udcff/corridor.1" in stdout.read()
 
 
-def test_a_reader_that_has_gone_is_no_crash(good: Path):
-    with subprocess.Popen(
-        [CORRIDOR, "check", good], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as process:
+PRINTS = ["completion", "bash"]  # a command that is done at once
+
+
+def test_a_reader_that_has_gone_is_no_crash():
+    with subprocess.Popen([CORRIDOR, *PRINTS], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         process.stdout.close()
-        assert b"Traceback" not in process.stderr.read()
+        assert process.stderr.read() == b""
 
 
-@pytest.mark.parametrize("command", [["--help"], ["check", "good"]])
-def test_a_result_that_cannot_be_written_is_a_storage_error(good: Path, command: list[str]):
-    command = [str(good) if word == "good" else word for word in command]
+@pytest.mark.parametrize("command", [["--help"], PRINTS])
+def test_a_result_that_cannot_be_written_is_a_storage_error(command: list[str]):
     with Path("/dev/full").open("w") as full:
         env = {**os.environ, "PYTHONUNBUFFERED": ""}  # the buffer is written at the end
         done = subprocess.run([CORRIDOR, *command], stdout=full, stderr=subprocess.PIPE, env=env, check=False)
