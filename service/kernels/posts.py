@@ -1,4 +1,4 @@
-"""Runs of neighbouring returns of one surface, among which posts are searched."""
+"""Posts of a scan: narrow runs of neighbouring returns with a farther background on both sides."""
 
 import math
 
@@ -31,32 +31,49 @@ def missing_by_chance(range_m, beam, gap, least_step_m):
     return int(math.log(2.0 * range_m.shape[0]) / -math.log(probability)) if present > 0 else range_m.shape[0]
 
 
-@kernel(Float64_2D, Int32_1D, int, Float64_1D, float)
-def runs_of(xy, beam, gap, sensor_xy, least_step_m):
-    """Runs of neighbouring points: a run ends where more returns are missing than chance explains, or where
-    the range steps.
+@kernel(Float64_2D, Int32_1D, int, int, float, Float64_1D, float, float)
+def find_posts(xy, beam, gap, beam_count, step_rad, sensor_xy, least_step_m, most_width_m):
+    """Runs of neighbouring points that are seen completely: with a farther background on both sides.
+
+    A run ends where more returns are missing than chance explains, or where the range steps.
 
     xy             (N, 2) float64   m, in order of the beams; N > 0
     beam           (N,)   int32     index of the beam in the scan
     gap            int              beams from one return to the next, see usual_gap
+    beam_count     int              of the scan
+    step_rad       float            from one return to the next
     sensor_xy      (2,)   float64   m, the sensor in the frame of xy
     least_step_m   float            range step at which a run ends
-    Returns (range of each point (N,) float64, m; first point of each run and N (R + 1,) int64; whether
-    returns are missing before each run (R,) bool).
+    most_width_m   float            of a run
+    Returns (first point of each such run and the one after its last, (M, 2) int64; spacing of its points,
+    (M,) m; number of points in all of them).
     """
     count = xy.shape[0]
     range_m = np.empty(count)
     for i in range(count):
         range_m[i] = math.hypot(xy[i, 0] - sensor_xy[0], xy[i, 1] - sensor_xy[1])
     most_apart = gap * (missing_by_chance(range_m, beam, gap, least_step_m) + 1)
-    first = np.empty(count + 1, np.int64)
-    is_apart = np.empty(count, np.bool_)
-    runs = 0
+    span = np.empty((count, 2), np.int64)
+    spacing_m = np.empty(count)
+    found = points = begin = 0
+    before = True  # the background beside the run's first point is farther away, or nothing is in range
+    total_m = 0.0
     for i in range(count):
-        apart = i > 0 and beam[i] - beam[i - 1] > most_apart
-        if i == 0 or apart or abs(range_m[i] - range_m[i - 1]) > least_step_m:
-            first[runs] = i
-            is_apart[runs] = apart
-            runs += 1
-    first[runs] = count
-    return range_m, first[: runs + 1], is_apart[:runs]
+        total_m += range_m[i]
+        apart = i + 1 == count or beam[i + 1] - beam[i] > most_apart
+        step_m = math.inf if apart else range_m[i + 1] - range_m[i]
+        if abs(step_m) <= least_step_m:
+            continue
+        end = i + 1
+        spacing = step_rad * (total_m / (end - begin))
+        width_m = ((beam[i] - beam[begin]) / gap + 1.0) * spacing
+        is_inside = beam[begin] >= gap and beam[i] < beam_count - gap
+        if width_m <= most_width_m and before and step_m > 0.0 and is_inside:
+            span[found, 0], span[found, 1] = begin, end
+            spacing_m[found] = spacing
+            found += 1
+            points += end - begin
+        before = apart or step_m < 0.0
+        begin = end
+        total_m = 0.0
+    return span[:found], spacing_m[:found], points

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.kernels.normals import ROUND_OBJECT_M
-from service.kernels.posts import runs_of
+from service.kernels.posts import find_posts
 from service.mapper.components import Points
 
 Matrix = npt.NDArray[np.float64]
@@ -59,33 +59,30 @@ def posts_of(points: Points) -> Posts | None:
     if count < 3:
         return None
     sensor = points.sensor_xy_m
-    gap, step_rad = points.usual_gap, points.spacing_rad
-    range_m, first, is_apart = runs_of(points.xy_raw, points.beam, gap, sensor, MIN_STEP_M)
-    begin, end = first[:-1], first[1:]
-    spacing_m = step_rad * (np.add.reduceat(range_m, begin) / (end - begin))
-    width_m = ((points.beam[end - 1] - points.beam[begin]) / gap + 1.0) * spacing_m
-    is_narrow = width_m <= ROUND_OBJECT_M
-    if (end - begin)[is_narrow].sum() < MIN_POST_SHARE * count:
+    span, spacing_m, on_posts = find_posts(
+        points.xy_raw,
+        points.beam,
+        points.usual_gap,
+        len(points.scan.range_m),
+        points.spacing_rad,
+        sensor,
+        MIN_STEP_M,
+        ROUND_OBJECT_M,
+    )
+    if on_posts < max(MIN_POST_SHARE * count, 1):
         return None
-    # on each side: the adjacent point is farther away, or there is none in range
-    before = (begin > 0) & ~is_apart
-    after = np.append(before[1:], False)
-    is_before = ~before | (range_m[begin - 1] > range_m[begin] + MIN_STEP_M)
-    is_after = ~after | (range_m[np.minimum(end, count - 1)] > range_m[end - 1] + MIN_STEP_M)
-    is_inside = (points.beam[begin] >= gap) & (points.beam[end - 1] < len(points.scan.range_m) - gap)
-    is_post = is_narrow & is_before & is_after & is_inside
-    is_on_post = np.repeat(is_post, end - begin)
-    which = np.flatnonzero(is_post)
-    if np.count_nonzero(is_on_post) < max(MIN_POST_SHARE * count, 1):
-        return None
-    begin, end, spacing_m = begin[which], end[which], spacing_m[which]
+    begin, end = span.T
+    is_on_post = np.zeros(count, np.bool_)
+    for first, after in span.tolist():
+        is_on_post[first:after] = True
     of_each = (end - begin).astype(np.float64)
     middle = (begin + end - 1) // 2
     total = np.concatenate((np.zeros((1, 2)), np.cumsum(points.xy_raw, axis=0)))
     centroid = (total[end] - total[begin]) / of_each[:, None]
     ahead = centroid - sensor
     ahead /= np.hypot(ahead[:, 0], ahead[:, 1])[:, None]
-    middle_raw = centroid + ahead * (CENTROID * 0.5 * width_m[which])[:, None]
+    width_m = ((points.beam[end - 1] - points.beam[begin]) / points.usual_gap + 1.0) * spacing_m
+    middle_raw = centroid + ahead * (CENTROID * 0.5 * width_m)[:, None]
     sigma2 = points.range_sigma_m**2
     variance_m2 = sigma2 + spacing_m**2 / 12.0 + ROUND_M**2
     shift = points.xy_base[middle] - points.xy_raw[middle]
