@@ -39,23 +39,24 @@ def bias_at(curve_m, node_m, range_m):
     return curve_m[k] + (at - k) * (curve_m[k + 1] - curve_m[k])
 
 
-@kernel(Float64_2D, Float64_1D, Float64_1D, float, Float64_2D)
-def subtract_bias(xy, sensor_xy_m, curve_m, node_m, shortened):
-    """Subtract the bias from points, each along its beam.
+@kernel(Float64_2D, Float64_2D, Float64_1D, Float64_1D, float, Float64_2D, Float64_2D)
+def subtract_bias(xy_raw, xy_base, sensor_xy_m, curve_m, node_m, shortened_raw, shortened_base):
+    """Subtract the bias from the points of a scan, each along its beam.
 
-    xy             (N, 2) float64   m
-    sensor_xy_m    (2,)   float64   start of the beams, m
-    curve_m        (K,)   float64   bias of the ranges at the nodes
-    node_m         float            distance of the nodes
-    shortened      (N, 2) float64   out: m; may be xy
+    xy_raw, xy_base   (N, 2) float64   m, as of Points
+    sensor_xy_m       (2,)   float64   start of the beams, m
+    curve_m           (K,)   float64   bias of the ranges at the nodes
+    node_m            float            distance of the nodes
+    shortened_raw, shortened_base   (N, 2) float64   out: m
     """
-    for i in range(xy.shape[0]):
-        x = xy[i, 0] - sensor_xy_m[0]
-        y = xy[i, 1] - sensor_xy_m[1]
-        range_m = math.sqrt(x * x + y * y)
-        share = bias_at(curve_m, node_m, range_m) / range_m if range_m > 0.0 else 0.0
-        shortened[i, 0] = xy[i, 0] - share * x
-        shortened[i, 1] = xy[i, 1] - share * y
+    for xy, shortened in ((xy_raw, shortened_raw), (xy_base, shortened_base)):
+        for i in range(xy.shape[0]):
+            x = xy[i, 0] - sensor_xy_m[0]
+            y = xy[i, 1] - sensor_xy_m[1]
+            range_m = math.sqrt(x * x + y * y)
+            share = bias_at(curve_m, node_m, range_m) / range_m if range_m > 0.0 else 0.0
+            shortened[i, 0] = xy[i, 0] - share * x
+            shortened[i, 1] = xy[i, 1] - share * y
 
 
 @inner_kernel

@@ -60,8 +60,9 @@ class RangeBias:
         if learnt is None:  # not setdefault: the prior takes as long as half a scan
             learnt = self._learnt[points.scan.sensor] = _Learnt()
         xy_raw, xy_base = np.empty_like(points.xy_raw), np.empty_like(points.xy_base)
-        subtract_bias(points.xy_raw, points.sensor_xy_m, learnt.curve_m, NODE_M, xy_raw)
-        subtract_bias(points.xy_base, points.sensor_xy_m, learnt.curve_m, NODE_M, xy_base)
+        subtract_bias(
+            points.xy_raw, points.xy_base, points.sensor_xy_m, learnt.curve_m, NODE_M, xy_raw, xy_base
+        )
         return points._replace(xy_base=xy_base, xy_raw=xy_raw)
 
     def is_due(self, sensor: str, travel_m: float) -> bool:

@@ -18,6 +18,7 @@ def test_the_curve_is_linear_between_its_nodes_and_goes_on_as_it_ends() -> None:
 def test_points_move_along_their_beams() -> None:
     sensor = np.array([0.2, -0.1])
     xy = sensor + np.array([[1.0, 0.0], [0.0, -2.0], [0.0, 0.0]])
-    shortened = np.empty_like(xy)
-    subtract_bias(xy, sensor, np.full(8, 0.03), 0.5, shortened)
-    np.testing.assert_allclose(shortened - sensor, [[0.97, 0.0], [0.0, -1.97], [0.0, 0.0]], atol=1e-12)
+    raw, base = np.empty_like(xy), np.empty_like(xy)
+    subtract_bias(xy, xy[::-1].copy(), sensor, np.full(8, 0.03), 0.5, raw, base)
+    np.testing.assert_allclose(raw - sensor, [[0.97, 0.0], [0.0, -1.97], [0.0, 0.0]], atol=1e-12)
+    np.testing.assert_array_equal(base, raw[::-1])
