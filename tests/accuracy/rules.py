@@ -44,7 +44,7 @@ def deskewed_by_twist(
 
 
 def by_single_scans(walls: NarrowWalls, points: Points, normals: Matrix, pose: Matrix) -> Matrix:
-    """In place of both methods of NarrowWalls."""
+    """In place of NarrowWalls.insert."""
     return normals
 
 
@@ -94,7 +94,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     (
         "directions of walls by several key frames ([27])",
         f"{METHOD}.narrow_walls.NarrowWalls",
-        {"directed": by_single_scans, "insert": by_single_scans},
+        {"direct": lambda *_: None, "insert": by_single_scans},
     ),
     (
         "aligned by surfels of half the size ([32])",

@@ -34,13 +34,14 @@ class NarrowWalls:
         self._grazing_weight = grazing_weight
         self._next_half: dict[str, int] = {}  # by laser: each sees other walls
 
-    def directed(self, points: Points, normals: Matrix, pose: Matrix) -> Matrix:
-        """The normals (N, 3) of a scan to be matched from a pose (3,)."""
-        return self._directed(points, normals, pose, FOR_THE_MATCH, ROUGH_WEIGHT)
+    def direct(self, points: Points, pose: Matrix, normals: Matrix) -> None:
+        """Set the normals (N, 3) that a scan to be matched from a pose (3,) has not itself, in place."""
+        self._direct(points, pose, FOR_THE_MATCH, ROUGH_WEIGHT, normals)
 
     def insert(self, points: Points, normals: Matrix, pose: Matrix) -> Matrix:
         """Add a key frame at a pose (3,); returns its normals (N, 3) for insertion into the map."""
-        directed = self._directed(points, normals, pose, FOR_THE_MAP, 0.0)
+        directed = normals.copy()
+        self._direct(points, pose, FOR_THE_MAP, 0.0, directed)
         half = self._next_half.get(points.scan.sensor, 0)
         self._next_half[points.scan.sensor] = (half + 1) % HALVES
         reach_m = reach_of(points.xy_base)
@@ -61,10 +62,9 @@ class NarrowWalls:
         """Release the tiles; they are cleared when taken again."""
         self._tiles.release()
 
-    def _directed(
-        self, points: Points, normals: Matrix, pose: Matrix, half: int, weight_off_plane: float
-    ) -> Matrix:
-        normals = normals.copy()
+    def _direct(
+        self, points: Points, pose: Matrix, half: int, weight_off_plane: float, normals: Matrix
+    ) -> None:
         direct_by_moments(
             points.xy_base,
             points.sensor_xy_m,
@@ -76,7 +76,6 @@ class NarrowWalls:
             weight_off_plane,
             normals,
         )
-        return normals
 
     def _grid(self) -> MomentGrid:
         (moments,) = self._tiles.pool.arrays

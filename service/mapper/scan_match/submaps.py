@@ -96,13 +96,11 @@ class Submap:
         cell_m = self._config.cell_m / PARTS
         return SurfelGrid(self._fine_tiles.index(), surfels, field, cell_m)  # type: ignore[arg-type]
 
-    def weighed(self, points: Points, normals: Floats, pose: Floats, grid: SurfelGrid) -> Floats:
-        """The normals of a scan to be matched from a pose (3,), weighed by the static score. grid: grid()."""
-        if self._dynamic_filter.full_score == 0:
-            return normals
-        weighed = normals.copy()
-        weigh_static_score(points.xy_base, pose, grid, self._observations(), self._dynamic_filter, weighed)
-        return weighed
+    def weigh(self, points: Points, pose: Floats, grid: SurfelGrid, normals: Floats) -> None:
+        """Weigh the normals (N, 3) of a scan at a pose (3,) by the static score, in place. grid: grid()."""
+        if self._dynamic_filter.full_score > 0:
+            observations, settings = self._observations(), self._dynamic_filter
+            weigh_static_score(points.xy_base, pose, grid, observations, settings, normals)
 
     def contradicting(
         self, points: Points, xy_base: Floats, normals: Floats, pose: Floats

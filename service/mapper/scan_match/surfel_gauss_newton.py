@@ -112,14 +112,13 @@ class SurfelGaussNewton:
             return unmatched(points, predicted, reason)
         if local_map.matched_to is None:
             return begun(points, predicted)
-        if local_map.detached is None:
-            self._gap = None
-            self._detached = None
-            self._segment_covariance = np.zeros((3, 3))
-        elif local_map.detached is not self._detached:  # a new segment at the predicted pose
+        if local_map.detached is not self._detached:
             self._detached = local_map.detached
-            self._gap = self._began
             self._confirmation.clear()
+            if self._detached is None:
+                self._gap, self._segment_covariance = None, np.zeros((3, 3))
+            else:  # a new segment at the predicted pose
+                self._gap = self._began
         match = self._matched(self._attempt(points, predicted, local_map), local_map, local_map.matched_to)
         if match.measured is not None:
             self._steady.matched(points.scan.stamp_ns, match.measured.pose_odom_base)
@@ -242,10 +241,11 @@ class SurfelGaussNewton:
         sensor = attempt.points.scan.sensor
         if attempt.posts is not None or not self._bias.is_due(sensor, attempt.predicted.travel_m):
             return
-        deskewed = attempt.points._replace(xy_base=aligned.xy_base)
+        deskewed, normals = attempt.points._replace(xy_base=aligned.xy_base), attempt.normals.copy()
+        aligned.submap.weigh(deskewed, aligned.result.pose, aligned.submap.grid(), normals)
         offset_m = self._bias.learn(
             deskewed,
-            aligned.submap.weighed(deskewed, attempt.normals, aligned.result.pose, aligned.submap.grid()),
+            normals,
             aligned.result.pose,
             aligned.submap,
             local_map.laser_of(sensor),
@@ -262,11 +262,10 @@ class SurfelGaussNewton:
         is_constrained: the prior is Gaussian.
         """
         points, predicted = attempt.points, attempt.predicted
-        xy_base, normals = points.xy_base.copy(), attempt.normals
+        xy_base, normals, grid = points.xy_base.copy(), attempt.normals.copy(), submap.grid()
         if attempt.posts is None:
-            normals = submap.narrow_walls.directed(points, normals, start)
-        grid = submap.grid()
-        normals = submap.weighed(points, normals, start, grid)
+            submap.narrow_walls.direct(points, start, normals)
+        submap.weigh(points, start, grid, normals)
         returns = Returns(points.xy_raw, points.beam_time_s, points.beam)
         if attempt.posts is not None:
             returns, normals, xy_base = _with_posts(attempt, attempt.posts, normals, start[2])
@@ -369,9 +368,11 @@ class SurfelGaussNewton:
 def _with_posts(
     attempt: Attempt, posts: Posts, weighed: Matrix, heading_rad: float
 ) -> tuple[Returns, Matrix, Matrix]:
-    """The points of a scan, followed by the centre of each post twice, weighed by the static score."""
+    """The points of a scan, followed by the centre of each post twice, weighed by the static score.
+
+    weighed   (N, 3) normals of the points, after Submap.weigh; changed
+    """
     points = attempt.points
-    weighed = weighed.copy()
     with np.errstate(divide="ignore", invalid="ignore"):
         static = np.nan_to_num(weighed[posts.point, 2] / attempt.normals[posts.point, 2], nan=0.0)
     weighed[posts.is_on_post, 2] = np.minimum(weighed[posts.is_on_post, 2], ROUGH_WEIGHT)
