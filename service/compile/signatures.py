@@ -78,8 +78,9 @@ def new_kernel(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     """numba's. A call from Python for types that it does not declare goes to `log_undeclared` first."""
     numba.config.CACHE_LOCATOR_CLASSES = f"{__name__}.KernelLocator"  # type: ignore[attr-defined]
     kernel: Any = numba.njit(**options)(function)
-    files = kernel._cache._cache_file
-    files.save = partial(_save_alone, files.save)
+    if options.get("cache"):
+        files = kernel._cache._cache_file
+        files.save = partial(_save_alone, files.save)
     if name_of(kernel) in DECLARED:
         compile_for_args = kernel._compile_for_args  # called for types without machine code
 
