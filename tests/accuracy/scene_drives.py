@@ -51,6 +51,7 @@ class Case:
     speed_mps: float = 1.0
     share: float = 0.33  # of the returns, from people or a train
     for_s: float | None = None  # how long it lasts; None: as the scene has it
+    before_s: float = BEFORE_S  # from the begin of the drive
     has_imu: bool = True
     laser: Laser = LMS100_25HZ
 
@@ -224,9 +225,9 @@ class Staged:
 def staged(case: Case, after_s: float = AFTER_S) -> Staged:
     """Same case, same frames, until so long after the scene."""
     for_s = seconds_of(case)
-    plain = driven(WORLDS[case.world](), case.moment, case.speed_mps, BEFORE_S + for_s + AFTER_S)
+    plain = driven(WORLDS[case.world](), case.moment, case.speed_mps, case.before_s + for_s + AFTER_S)
     world = begun_at(plain, heading_rad(case.seed))
-    from_s = world.drive.duration_s - plain.drive.duration_s + BEFORE_S
+    from_s = world.drive.duration_s - plain.drive.duration_s + case.before_s
     still = Stage(case, world, from_s, from_s + for_s, case.laser, imu=Imu() if case.has_imu else None)
     stage = SCENES[case.scene].change(still)
     seconds = STAND_S + stage.to_s + after_s

@@ -208,7 +208,7 @@ class MovingScene:
         else:
             nats = self._inertia_nats(attempt, aligned)
             is_off_walls = _share_on_walls_only_at(static, aligned, attempt) >= OUTLIER_SHARE
-            nats += PRIOR_NATS if is_off_walls else -PRIOR_NATS
+            nats += PRIOR_NATS if is_off_walls or is_seen_moving else -PRIOR_NATS
         if nats >= 0.0:
             return self._start(static, attempt)
         if conflict is not None and share > 0.0:  # in a map's first metre later scans may still decide
@@ -288,9 +288,12 @@ class MovingScene:
 
     def _accepted(self, static: Aligned, attempt: Attempt) -> Aligned:
         """The static match with Student's weight of the prediction, and its moving returns marked."""
-        is_moving, _is_static = _classified(attempt, static.submap, static.xy_base, static.result.pose)
+        is_moving, is_static = _classified(attempt, static.submap, static.xy_base, static.result.pose)
         moving_share = float(is_moving.mean())
-        if self._is_seen_moving(static, attempt) or self._is_drifting(static, attempt):
+        # People who hide the walls may stand on unknown ground: with odometry the scene is static again only
+        # where most returns are.
+        is_hidden = not self._reckoning.is_silent and is_static.mean() < DECISIVE_SHARE
+        if is_hidden or self._is_seen_moving(static, attempt) or self._is_drifting(static, attempt):
             self._moves(attempt)
         state: State = "ok"
         reason = NO_REASON
