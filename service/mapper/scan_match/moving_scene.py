@@ -208,7 +208,8 @@ class MovingScene:
         else:
             nats = self._inertia_nats(attempt, aligned)
             is_off_walls = _share_on_walls_only_at(static, aligned, attempt) >= OUTLIER_SHARE
-            nats += PRIOR_NATS if is_off_walls or is_seen_moving else -PRIOR_NATS
+            is_moving_known = is_seen_moving and aligned.submap.knows_static
+            nats += PRIOR_NATS if is_off_walls or is_moving_known else -PRIOR_NATS
         if nats >= 0.0:
             return self._start(static, attempt)
         if conflict is not None and share > 0.0:  # in a map's first metre later scans may still decide
