@@ -289,12 +289,9 @@ class MovingScene:
 
     def _accepted(self, static: Aligned, attempt: Attempt) -> Aligned:
         """The static match with Student's weight of the prediction, and its moving returns marked."""
-        is_moving, is_static = _classified(attempt, static.submap, static.xy_base, static.result.pose)
+        is_moving, _is_static = _classified(attempt, static.submap, static.xy_base, static.result.pose)
         moving_share = float(is_moving.mean())
-        # People who hide the walls may stand on unknown ground: with odometry the scene is static again only
-        # where most returns are.
-        is_hidden = not self._reckoning.is_silent and is_static.mean() < DECISIVE_SHARE
-        if is_hidden or self._is_seen_moving(static, attempt) or self._is_drifting(static, attempt):
+        if self._is_seen_moving(static, attempt) or self._is_drifting(static, attempt):
             self._moves(attempt)
         state: State = "ok"
         reason = NO_REASON

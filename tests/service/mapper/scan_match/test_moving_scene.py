@@ -109,19 +109,19 @@ def test_people_who_walk_along_do_not_carry_the_pose_with_them() -> None:
 
 
 @pytest.mark.parametrize(
-    "case",
+    ("case", "worst_m"),
     [
-        Case("overtaking", "ring", 1, 0.125),
-        Case("overtaking", "ring", 6, 0.34, 1.5, 0.55, before_s=5.0),  # they hide the walls of new ground
-        Case("overtaking", "library", 13, 0.5, 0.6, 0.55, before_s=5.0),  # most returns at once
-        Case("overtaking", "ring", 15, 0.27, 1.0, 0.55),  # few static returns are left
+        (Case("overtaking", "ring", 1, 0.125), 0.1),
+        (Case("overtaking", "ring", 6, 0.7 / 3, 1.5, 0.55), 0.1),
+        (Case("overtaking", "library", 13, 0.5, 0.6, 0.55, before_s=5.0), 0.2),  # most returns at once
+        (Case("overtaking", "ring", 15, 0.27, 1.0, 0.55), 0.1),  # few static returns are left
     ],
 )
-def test_people_who_overtake_one_after_another_are_no_static_walls(case: Case) -> None:
+def test_people_who_overtake_one_after_another_are_no_static_walls(case: Case, worst_m: float) -> None:
     """Each comes to where another one was a second before; the walls beside them look alike all along."""
     verdict, *_ = judged(case)
     assert verdict.ok_off == 0
-    assert verdict.worst_m < 0.2
+    assert verdict.worst_m < worst_m
 
 
 def test_people_ahead_do_not_measure_how_far_a_corridor_goes() -> None:
