@@ -18,8 +18,6 @@ from service.version import VERSION
 from service.writable import sync
 
 FORMAT = 3
-# 1 has no graph: it can be shown and exported, and mapping cannot go on in it. 2 has nothing made by hand.
-READ_FORMATS = (1, 2, 3)
 MANIFEST = "manifest.json"
 
 
@@ -73,10 +71,10 @@ def read_manifest(version: Path) -> Manifest:
     own = manifest.pop("sha256", None)
     if own != (digest := digest_of(manifest)):
         raise InputError(f"{path}: damaged: its own checksum does not fit")
-    if manifest.get("format") not in READ_FORMATS:
+    if manifest.get("format") != FORMAT:
         raise InputError(
             f"{path}: format {manifest.get('format')} of corridor {manifest.get('corridor')}; "
-            f"this is corridor {VERSION}, which reads the formats up to {FORMAT}"
+            f"this is corridor {VERSION}, which reads format {FORMAT}"
         )
     try:
         checked = Manifest.model_validate({**manifest, "digest": digest})

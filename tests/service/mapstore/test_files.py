@@ -72,13 +72,14 @@ def test_a_damaged_version_is_passed_over_and_named(tmp_path, name, damage):
     assert str(path) in stored.problems[0]
 
 
-def test_a_later_format_is_refused_by_name(tmp_path):
+@pytest.mark.parametrize("number", [FORMAT - 1, FORMAT + 1])
+def test_another_format_is_refused_by_name(tmp_path, number):
     save_map(tmp_path, TILES, 1)
     path = tmp_path / "v000001" / "manifest.json"
-    manifest = json.loads(path.read_text()) | {"format": FORMAT + 1, "corridor": "9.0.0"}
+    manifest = json.loads(path.read_text()) | {"format": number, "corridor": "9.0.0"}
     del manifest["sha256"]
     path.write_text(json.dumps(manifest | {"sha256": digest_of(manifest)}))
-    with pytest.raises(InputError, match=rf"format {FORMAT + 1} of corridor 9.0.0"):
+    with pytest.raises(InputError, match=rf"format {number} of corridor 9.0.0"):
         load_map(tmp_path)
 
 
