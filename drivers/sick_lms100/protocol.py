@@ -8,7 +8,6 @@ Wireshark's dissector "SICK CoLa A/B".
 
 import re
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -234,8 +233,8 @@ def _parse(payload: bytes, dialect: Dialect) -> Telegram | None:
     return Telegram(dialect, kind.decode("ascii"), name.decode("ascii"), body)
 
 
-class BinaryReader:
-    """Takes fields off a CoLa-B body. Every method raises ProtocolError where the body ends too early."""
+class _Body:
+    """Of a telegram, read from its start."""
 
     def __init__(self, body: bytes) -> None:
         self._body = body
@@ -244,6 +243,10 @@ class BinaryReader:
     @property
     def at_end(self) -> bool:
         return self._at >= len(self._body)
+
+
+class BinaryReader(_Body):
+    """Takes fields off a CoLa-B body. Every method raises ProtocolError where the body ends too early."""
 
     def _take(self, count: int) -> bytes:
         taken = self._body[self._at : self._at + count]
@@ -293,16 +296,8 @@ for _value, _digit in enumerate(b"abcdef", start=10):
     _DIGITS[_digit] = _value
 
 
-class AsciiReader:
+class AsciiReader(_Body):
     """Takes fields off a CoLa-A body. Hexadecimal, or decimal where a sign stands in front."""
-
-    def __init__(self, body: bytes) -> None:
-        self._body = body
-        self._at = 0
-
-    @property
-    def at_end(self) -> bool:
-        return self._at >= len(self._body)
 
     def _token(self) -> bytes:
         end = self._body.find(b" ", self._at)
@@ -435,20 +430,13 @@ class AsciiWriter:
     def body(self) -> bytes:
         return b" ".join(self._tokens)
 
-    def _hexadecimal(self, values: Sequence[int]) -> None:
+    def u8(self, *values: int) -> None:
         self._tokens += [b"%X" % value for value in values]
 
-    def u8(self, *values: int) -> None:
-        self._hexadecimal(values)
-
-    def u16(self, *values: int) -> None:
-        self._hexadecimal(values)
-
-    def u32(self, *values: int) -> None:
-        self._hexadecimal(values)
+    u16 = u32 = u8  # no number has a width
 
     def i32(self, *values: int) -> None:
-        self._hexadecimal([value & 0xFFFF_FFFF for value in values])
+        self.u32(*(value & 0xFFFF_FFFF for value in values))
 
     def f32(self, *values: float) -> None:
         self._tokens += [struct.pack(">f", value).hex().upper().encode("ascii") for value in values]

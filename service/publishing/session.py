@@ -1,9 +1,9 @@
 """Opens the Zenoh session; an error names the reason."""
 
 import json
-import os
 import re
 import socket
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from drivers.zenoh_config import zenoh_config
 from service.errors import StorageError
 from service.publishing.config import PublishingConfig
 from service.publishing.keys import ROOT
+from service.publishing.own_sockets import own_internet_sockets
 from service.publishing.security import access_control, link_settings
 
 # Batches a link and priority. With Zenoh's own 2 a burst of scan, pose, odom and tf loses one now and then.
@@ -86,19 +87,10 @@ def _keep_silent_connections_out(session: zenoh.Session, config: PublishingConfi
     """
     found = [re.search(r":(\d+)$", place) for place in listened_at(session, config)]
     ports = {int(port[1]) for port in found if port is not None}
-    for descriptor in Path("/proc/self/fd").glob("*"):
-        try:
-            if not str(descriptor.readlink()).startswith("socket:"):
-                continue
-            with socket.socket(fileno=os.dup(int(descriptor.name))) as door:
-                if (
-                    door.family in (socket.AF_INET, socket.AF_INET6)
-                    and door.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
-                    and door.getsockname()[1] in ports
-                ):
-                    door.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, _SILENT_S)
-        except OSError:
-            continue  # closed meanwhile
+    for door in own_internet_sockets():
+        with suppress(OSError):  # closed meanwhile
+            if door.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and door.getsockname()[1] in ports:
+                door.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, _SILENT_S)
 
 
 def listened_at(session: zenoh.Session, config: PublishingConfig) -> list[str]:

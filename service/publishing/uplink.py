@@ -1,11 +1,10 @@
 """The session of a vehicle at a router of its site: limits of the link, and counts."""
 
-import os
 import socket
 import struct
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 
 import zenoh
 
@@ -13,6 +12,7 @@ from drivers.zenoh_config import zenoh_config
 from service.errors import StorageError
 from service.publishing.config import PublishingConfig
 from service.publishing.keys import ROOT, alive_key
+from service.publishing.own_sockets import own_internet_sockets
 from service.publishing.security import link_settings
 
 CONNECT_MS = 3000  # for one try
@@ -126,18 +126,11 @@ class LinkBytes:
 
 def _acked_and_received(port: str) -> tuple[int, int] | None:
     """Bytes of this process's connection from that port; None where the kernel does not report them."""
-    for descriptor in Path("/proc/self/fd").glob("*"):
-        try:
-            if not str(descriptor.readlink()).startswith("socket:"):
+    for link in own_internet_sockets():
+        with suppress(OSError, struct.error):  # closed meanwhile, or not connected
+            if str(link.getsockname()[1]) != port or link.getpeername()[1] == int(port):
                 continue
-            with socket.socket(fileno=os.dup(int(descriptor.name))) as link:
-                if link.family not in (socket.AF_INET, socket.AF_INET6) or link.type != socket.SOCK_STREAM:
-                    continue
-                if str(link.getsockname()[1]) != port or link.getpeername()[1] == int(port):
-                    continue
-                info = link.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 256)
-                acked, received = struct.unpack_from("QQ", info, _BYTES_ACKED_AT)
-                return int(acked), int(received)
-        except (OSError, struct.error):
-            continue  # closed meanwhile, or not connected
+            info = link.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 256)
+            acked, received = struct.unpack_from("QQ", info, _BYTES_ACKED_AT)
+            return int(acked), int(received)
     return None

@@ -83,25 +83,13 @@ class Sinks:
             sink.start()
 
     def put(self, message: Message, arrived_ns: int | None = None) -> None:
-        for sink in self._sinks:
-            try:
-                sink.put(message, arrived_ns)
-            except Exception as error:
-                self._refuse(sink, error)
+        self._tell(lambda sink: sink.put(message, arrived_ns))
 
     def put_tiles(self, tiles: Sequence[TileUpdate], stamp_ns: int, log_ns: int) -> None:
-        for sink in self._sinks:
-            try:
-                sink.put_tiles(tiles, stamp_ns, log_ns)
-            except Exception as error:
-                self._refuse(sink, error)
+        self._tell(lambda sink: sink.put_tiles(tiles, stamp_ns, log_ns))
 
     def put_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        for sink in self._sinks:
-            try:
-                sink.put_metadata(name, values)
-            except Exception as error:
-                self._refuse(sink, error)
+        self._tell(lambda sink: sink.put_metadata(name, values))
 
     def health(self) -> list[Status]:
         """One row a sink; an error where it raised, or a thread of it died."""
@@ -150,6 +138,13 @@ class Sinks:
                 self._fail(ending.sink.name, fault)
                 faults.append((ending.error, fault))
         return faults
+
+    def _tell(self, tell: Callable[[Sink], None]) -> None:
+        for sink in self._sinks:
+            try:
+                tell(sink)
+            except Exception as error:
+                self._refuse(sink, error)
 
     def _refuse(self, sink: Sink, error: Exception) -> None:
         with self._lock:

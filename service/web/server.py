@@ -27,7 +27,7 @@ from typing import Any, Protocol
 from aiohttp import WSCloseCode, web
 
 from drivers.frames import CAUSES
-from service.encoding import Status
+from service.encoding import ERROR, OK, WARNING, Status
 from service.errors import StorageError, words_of
 from service.outputs import reason_value
 from service.version import VERSION
@@ -56,7 +56,6 @@ LASTING = "public, max-age=31536000, immutable"  # a year
 COMMAND_THREADS = 4
 WRITE_BUFFER = 262_144  # bytes that wait in the process for a browser that does not read
 NO_PLACE = WSCloseCode.TRY_AGAIN_LATER, "the places without a token are taken"
-OK, WARNING, ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus
 
 _TYPES = {
     "html": "text/html; charset=utf-8",
