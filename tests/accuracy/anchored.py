@@ -107,16 +107,16 @@ def anchored(seeds: Sequence[int]) -> Section:
     rows = []
     for name, result in measured(seeds).items():
         rows += [
-            Row("", f"{name}: ATE after the finish", result.ate_m, "m"),
-            Row("", f"{name}: loop closures", result.loops, "loops", digits=0),
+            Row(f"{name}: ATE after the finish", result.ate_m, "m"),
+            Row(f"{name}: loop closures", result.loops, "loops"),
         ]
         if result.place_m:
             rows += [
-                Row("", f"{name}: place on the earth, median", result.place_m, "m", at_most=3.0, digits=2),
-                Row("", f"{name}: place on the earth, worst", result.worst_m, "m", at_most=4.0, digits=2),
-                Row("", f"{name}: yaw against east", result.yaw_deg, "deg", at_most=1.0, digits=2),
-                Row("", f"{name}: sigma of the map's origin", result.sigma_m, "m", digits=2),
-                Row("", f"{name}: fixes not believed", result.not_believed, "fixes", digits=0),
+                Row(f"{name}: place on the earth, median", result.place_m, "m", at_most=3.0, digits=2),
+                Row(f"{name}: place on the earth, worst", result.worst_m, "m", at_most=4.0, digits=2),
+                Row(f"{name}: yaw against east", result.yaw_deg, "deg", at_most=1.0, digits=2),
+                Row(f"{name}: sigma of the map's origin", result.sigma_m, "m", digits=2),
+                Row(f"{name}: fixes not believed", result.not_believed, "fixes"),
             ]
     return Section(
         "Outdoors with GNSS",

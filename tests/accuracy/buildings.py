@@ -43,10 +43,10 @@ def buildings(seeds: Sequence[int]) -> Section:
     for name, bound_mm in BUILDINGS:
         errors = errors_of(Trip(WORLDS[name], LMS100_50HZ), seeds)
         rows += [
-            Row("", f"{name}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm, digits=1),
-            Row("", f"{name}: ATE live", errors.ate_mm, "mm", digits=1),
-            Row("", f"{name}: live, as is", errors.as_is_mm, "mm", digits=1),
-            Row("", f"{name}: heading, RMS", errors.heading_deg, "deg"),
+            Row(f"{name}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm),
+            Row(f"{name}: ATE live", errors.ate_mm, "mm"),
+            Row(f"{name}: live, as is", errors.as_is_mm, "mm"),
+            Row(f"{name}: heading, RMS", errors.heading_deg, "deg"),
         ]
     return Section(
         "Six simulated buildings",
@@ -62,9 +62,9 @@ def laser_alone(seeds: Sequence[int]) -> Section:
     for name, (world, bound_mm) in ALONE.items():
         errors = errors_of(Trip(world, LMS100_50HZ, wheels=None), seeds)
         rows += [
-            Row("", f"{name}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm, digits=1),
-            Row("", f"{name}: live, as is", errors.as_is_mm, "mm", digits=1),
-            Row("", f"{name}: scans lost", errors.lost_percent, "%", digits=1),
+            Row(f"{name}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm),
+            Row(f"{name}: live, as is", errors.as_is_mm, "mm"),
+            Row(f"{name}: scans lost", errors.lost_percent, "%"),
             ok_and_wrong_row(name, errors.wrong_ok),
         ]
     return Section(
@@ -83,10 +83,10 @@ def ring(seeds: Sequence[int]) -> Section:
     ):
         errors = errors_of(Trip(WORLDS["ring"], laser), seeds)
         rows += [
-            Row("", f"{name}: drift", errors.end_mm, "mm", at_most=6.0, digits=1),
-            Row("", f"{name}: drift, every seed", errors.end_mm, "mm", at_most=20.0, by_worst=True, digits=1),
-            Row("", f"{name}: heading drift", errors.end_deg, "deg", at_most=0.05),
-            Row("", f"{name}: as is, RMS", errors.as_is_mm, "mm", digits=1),
+            Row(f"{name}: drift", errors.end_mm, "mm", at_most=6.0),
+            Row(f"{name}: drift, every seed", errors.end_mm, "mm", at_most=20.0, by_worst=True),
+            Row(f"{name}: heading drift", errors.end_deg, "deg", at_most=0.05),
+            Row(f"{name}: as is, RMS", errors.as_is_mm, "mm"),
         ]
     return Section(
         "Drift after a lap of the ring corridor",
@@ -104,11 +104,11 @@ def big_mall(seeds: Sequence[int]) -> Section:
         f"The first {MALL_PATH_LENGTH_M:.0f} m of a drive through every aisle, {seconds:.0f} s, LMS-100 at "
         "25 Hz, people walking.",
         [
-            Row("", "ATE after the finish", errors.finished_mm, "mm", at_most=50.0, digits=1),
-            Row("", "live, as is, RMS", errors.as_is_mm, "mm", at_most=100.0, digits=1),
-            Row("", "live, ATE", errors.ate_mm, "mm", digits=1),
-            Row("", "at the end", errors.end_mm, "mm", digits=1),
-            Row("", "heading, RMS", errors.heading_deg, "deg"),
+            Row("ATE after the finish", errors.finished_mm, "mm", at_most=50.0),
+            Row("live, as is, RMS", errors.as_is_mm, "mm", at_most=100.0),
+            Row("live, ATE", errors.ate_mm, "mm"),
+            Row("at the end", errors.end_mm, "mm"),
+            Row("heading, RMS", errors.heading_deg, "deg"),
         ],
     )
 

@@ -45,7 +45,7 @@ def scans(seeds: Sequence[int]) -> Section:
         spent = [scan_cpu_ms(made) for made in Trip(WORLDS[world], laser, 40.0).drives(seeds)]
         for name, percent, bound in zip(("p50", "p95", "p99", "max"), (50, 95, 99, 100), bounds, strict=True):
             values = [float(np.percentile(ms, percent)) for ms in spent]
-            rows.append(Row("", f"{what}: {name}", values, "ms", at_most=bound, digits=2))
+            rows.append(Row(f"{what}: {name}", values, "ms", at_most=bound))
     return Section(
         "A scan",
         "One scan through the whole mapper: prediction, deskew, match, sub-maps, shown map. Processor time "
@@ -71,8 +71,8 @@ def recording(seeds: Sequence[int]) -> Section:
         "Replay of Freiburg 079",
         "1061 s of driving, the finish included, by wall clock.",
         [
-            Row("", "times real time", factors, "times", at_least=100.0, digits=0),
-            Row("", "peak memory", peaks, "MB", at_most=350.0, digits=0),
+            Row("times real time", factors, "times", at_least=100.0, digits=0),
+            Row("peak memory", peaks, "MB", at_most=350.0),
         ],
     )
 
@@ -101,9 +101,9 @@ def growing_map(seeds: Sequence[int]) -> Section:
         f"{LOOPS} loops around one block of the mall, {LOOPS * world.drive.length_m / 1000.0:.1f} km at "
         f"{LOOP_RATE_HZ:.0f} scans a second. Shortened: a loop of the whole mall is 1.2 km.",
         [
-            Row("", "a scan, loops 91 to 100 / loops 2 to 11", [late / early], "times", at_most=1.05),
-            Row("", "a scan, loops 2 to 11", [early], "ms"),
-            Row("", "memory, loop 100 - loop 10", [memory_mb[last] - memory_mb[10]], "MB", digits=1),
+            Row("a scan, loops 91 to 100 / loops 2 to 11", [late / early], "times", at_most=1.05),
+            Row("a scan, loops 2 to 11", [early], "ms"),
+            Row("memory, loop 100 - loop 10", [memory_mb[last] - memory_mb[10]], "MB", digits=1),
         ],
     )
 
@@ -150,25 +150,17 @@ def localised(seeds: Sequence[int]) -> Section:
         "against the same scan in a second session that began a tenth before, the two in turn, so that both "
         "have the machine as it is. Memory: before that session began, against the end of the second tenth.",
         [
+            Row("a scan, against a session a tenth as old", [late / early], "times", at_most=1.05, digits=3),
+            Row("a scan", [late], "ms"),
             Row(
-                "",
-                "a scan, against a session a tenth as old",
-                [late / early],
-                "times",
-                at_most=1.05,
-                digits=3,
-            ),
-            Row("", "a scan", [late], "ms"),
-            Row(
-                "",
                 "memory, against the second tenth",
                 [memory_mb[-1] / memory_mb[2 * tenth - 1]],
                 "times",
                 at_most=1.05,
                 digits=3,
             ),
-            Row("", "memory", [memory_mb[-1]], "MB", digits=0),
-            Row("", "scans not `ok`, from the second lap on", [float(not_ok)], "scans", digits=0),
+            Row("memory", [memory_mb[-1]], "MB"),
+            Row("scans not `ok`, from the second lap on", [float(not_ok)], "scans"),
         ],
     )
 
@@ -201,7 +193,7 @@ def start(seeds: Sequence[int]) -> Section:
     times = [{what: value for what, value, _ in start_up.measure()} for _ in seeds[:2]]
     bounds = {"warm": 1.5, "cold": 12.0}
     rows = [
-        Row("", what, [took[what] for took in times], "s", at_most=bounds[cache], digits=1)
+        Row(what, [took[what] for took in times], "s", at_most=bounds[cache])
         for cache in bounds
         for what in times[0]
         if cache in what

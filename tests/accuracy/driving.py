@@ -88,9 +88,7 @@ def ok_and_wrong(done: Run) -> float:
 
 def ok_and_wrong_row(what: str, scans: list[float]) -> Row:
     """Of what ok_and_wrong gives for each seed: none may be."""
-    return Row(
-        "", f"{what}: scans `ok`, 0.3 m and 3 sigma off", scans, "scans", at_most=0.0, by_worst=True, digits=0
-    )
+    return Row(f"{what}: scans `ok`, 0.3 m and 3 sigma off", scans, "scans", at_most=0.0, by_worst=True)
 
 
 @dataclass

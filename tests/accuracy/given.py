@@ -110,14 +110,12 @@ def _world(name: str, bound_m: float | None, out: Path) -> list[Row]:
     off, nees = off_and_nees(done, truth)
     states = [output.state for output in done.outputs]
     return [
-        Row(
-            "", f"{name}: ATE after the finish", [finished.ate_aligned_m.rms], "m", at_most=bound_m, digits=4
-        ),
-        Row("", f"{name}: ATE live", [live.ate_aligned_m.rms], "m", digits=4),
-        Row("", f"{name}: closure", [finished.closure_m], "m", digits=4),
-        Row("", f"{name}: NEES, mean", [nees], "of 3", digits=2),
+        Row(f"{name}: ATE after the finish", [finished.ate_aligned_m.rms], "m", at_most=bound_m, digits=4),
+        Row(f"{name}: ATE live", [live.ate_aligned_m.rms], "m", digits=4),
+        Row(f"{name}: closure", [finished.closure_m], "m", digits=4),
+        Row(f"{name}: NEES, mean", [nees], "of 3", digits=2),
         wrong_row(name, done, off),
-        Row("", f"{name}: scans lost", [100.0 * states.count("lost") / len(states)], "%", digits=1),
+        Row(f"{name}: scans lost", [100.0 * states.count("lost") / len(states)], "%"),
     ]
 
 
@@ -125,7 +123,7 @@ def wrong_row(name: str, done: Replay, off_m: np.ndarray) -> Row:
     """How many scans are `ok` and WRONG_M off."""
     is_ok = np.array([output.state == "ok" for output in done.outputs])
     wrong = float(np.sum(is_ok & (off_m > WRONG_M)))
-    return Row("", f"{name}: scans `ok` and {WRONG_M} m off", [wrong], "scans", at_most=0.0, digits=0)
+    return Row(f"{name}: scans `ok` and {WRONG_M} m off", [wrong], "scans", at_most=0.0)
 
 
 def _dataset(
@@ -134,14 +132,13 @@ def _dataset(
     folder = SHARED / "datasets" / name
     done = mapped(folder / f"{name}.mcap", out)
     states = [output.state for output in done.outputs]
-    rows = [Row("", f"{name}: scans lost", [100.0 * states.count("lost") / len(states)], "%", digits=1)]
+    rows = [Row(f"{name}: scans lost", [100.0 * states.count("lost") / len(states)], "%")]
     if relations:
         report = score(out / "trajectory.tum", folder / f"{relations}.relations", shift_s=shift_s)
         assert isinstance(report, RelationsScore)
         error = report.errors[0]
         rows += [
             Row(
-                "",
                 f"{name}: {relations}",
                 [error.translation_m.mean],
                 "m",
@@ -149,23 +146,23 @@ def _dataset(
                 digits=4,
                 cause=CAUSES.get(name, ""),
             ),
-            Row("", f"{name}: {relations}", [error.rotation_deg.mean], "deg", at_most=bounds[1]),
+            Row(f"{name}: {relations}", [error.rotation_deg.mean], "deg", at_most=bounds[1]),
         ]
     if relations.startswith("derived"):  # a wall drawn twice shows between drives past it, not in one drive
         report = score(out / "trajectory.tum", folder / f"{NEARBY}.relations", shift_s=shift_s)
         assert isinstance(report, RelationsScore)
         error = report.errors[0]
         rows += [
-            Row("", f"{name}: {NEARBY}", [error.translation_m.mean], "m", digits=4),
-            Row("", f"{name}: {NEARBY}", [error.rotation_deg.mean], "deg"),
+            Row(f"{name}: {NEARBY}", [error.translation_m.mean], "m", digits=4),
+            Row(f"{name}: {NEARBY}", [error.rotation_deg.mean], "deg"),
             *_fit(name, relations, shift_s, out),
         ]
     if relations == "official":  # their stamps lie between scans
         error = _scored_between_scans(folder / f"{name}.mcap", folder / f"{relations}.relations", out)
         what = f"{name}: {relations}, between scans by odometry"
         rows += [
-            Row("", what, [error.translation_m.mean], "m", digits=4),
-            Row("", what, [error.rotation_deg.mean], "deg"),
+            Row(what, [error.translation_m.mean], "m", digits=4),
+            Row(what, [error.rotation_deg.mean], "deg"),
         ]
     return rows
 
@@ -175,9 +172,9 @@ def _fit(name: str, relations: str, shift_s: float, out: Path) -> list[Row]:
     fit = pair_fit(recording, out / "trajectory.tum", recording.with_name(f"{relations}.relations"), shift_s)
     what = f"{name}: returns off the lines of the scan before"
     return [
-        Row("", what, [fit.ours_m], "m", digits=4),
-        Row("", f"{what}, at the relation of the reference", [fit.reference_m], "m", digits=4),
-        Row("", f"{name}: relations at which ours are nearer", [100.0 * fit.ours_better], "%", digits=0),
+        Row(what, [fit.ours_m], "m", digits=4),
+        Row(f"{what}, at the relation of the reference", [fit.reference_m], "m", digits=4),
+        Row(f"{name}: relations at which ours are nearer", [100.0 * fit.ours_better], "%"),
     ]
 
 
@@ -190,9 +187,9 @@ def _without_odometry(name: str, bound_m: float, folder: Path) -> list[Row]:
     assert isinstance(report, RelationsScore)
     what, error = f"{name} without odometry", report.errors[0]
     return [
-        Row("", f"{what}: scans lost", [100.0 * states.count("lost") / len(states)], "%", digits=1),
-        Row("", f"{what}: official", [error.translation_m.mean], "m", at_most=bound_m, digits=4),
-        Row("", f"{what}: official", [error.rotation_deg.mean], "deg"),
+        Row(f"{what}: scans lost", [100.0 * states.count("lost") / len(states)], "%"),
+        Row(f"{what}: official", [error.translation_m.mean], "m", at_most=bound_m, digits=4),
+        Row(f"{what}: official", [error.rotation_deg.mean], "deg"),
     ]
 
 

@@ -69,7 +69,7 @@ def _rows(what: str, recording: Path, truth: Path, out: Path) -> list[Row]:
     states = [output.state for output in done.outputs]
     off_m, _ = off_and_nees(done, truth)
     return [
-        Row("", f"{what}: ATE", [1e3 * finished.ate_aligned_m.rms], "mm", digits=1),
-        Row("", f"{what}: scans lost", [100.0 * states.count("lost") / len(states)], "%", digits=1),
+        Row(f"{what}: ATE", [1e3 * finished.ate_aligned_m.rms], "mm"),
+        Row(f"{what}: scans lost", [100.0 * states.count("lost") / len(states)], "%"),
         wrong_row(what, done, off_m),
     ]

@@ -40,9 +40,8 @@ def known_map(seeds: Sequence[int]) -> Section:
                 ratios.append(float(np.max(rms / bound)))
                 spreads.append(1e3 * float(np.hypot(rms[0], rms[1])))
             rows += [
-                Row("", f"{scene}, {name}: worst axis / bound", ratios, "times", at_most=1.5, digits=2),
+                Row(f"{scene}, {name}: worst axis / bound", ratios, "times", at_most=1.5),
                 Row(
-                    "",
                     f"the same: position (bound {1e3 * math.hypot(bound[0], bound[1]):.2f} mm, "
                     f"{math.degrees(bound[2]):.4f} deg)",
                     spreads,

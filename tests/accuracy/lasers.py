@@ -119,18 +119,17 @@ def lasers(seeds: Sequence[int]) -> Section:
                 frames = frames_of(ride, ridden, seconds, seed)
                 done.append(outcome(ride, tamper(frames) if tamper else frames, mounted))
             rows += [
-                Row(world_name, f"{what}: ATE", [o.ate_mm for o in done], "mm", digits=1),
-                Row(world_name, f"{what}: farthest", [o.worst_mm for o in done], "mm", digits=1),
+                Row(f"{what}: ATE", [o.ate_mm for o in done], "mm", world_name),
+                Row(f"{what}: farthest", [o.worst_mm for o in done], "mm", world_name),
                 Row(
-                    world_name,
                     f"{what}: `ok` and 0.3 m off",
                     [float(o.wrong_ok) for o in done],
                     "scans",
+                    world_name,
                     at_most=0,
                     by_worst=True,
-                    digits=0,
                 ),
-                Row(world_name, f"{what}: a scan, p50", [o.scan_ms for o in done], "ms"),
+                Row(f"{what}: a scan, p50", [o.scan_ms for o in done], "ms", world_name),
             ]
     return Section(
         "Several lasers",

@@ -66,17 +66,15 @@ class Outcome:
         as known, and need not be distinguished.
         """
         rows = [
-            Row(where, "`ok` and wrong", self.wrong_ok, "scans", at_most=0.0, by_worst=True, digits=0),
-            Row(where, f"`degraded` and {WRONG_M} m off", self.wrong_degraded, "scans", digits=0),
+            Row("`ok` and wrong", self.wrong_ok, "scans", where, at_most=0.0, by_worst=True),
+            Row(f"`degraded` and {WRONG_M} m off", self.wrong_degraded, "scans", where),
         ]
         for is_known, ground in ((True, "known ground"), (False, "new ground")):
             moments = [k for k, on_known in enumerate(self.on_known_ground) if on_known == is_known]
             bounds = (2.0, 50.0) if is_known and has_to_be_found else (None, None)
             if moments:
                 rows += self._found_rows(where, f"{ground} ({len(moments)} moments)", moments, *bounds)
-        rows.append(
-            Row(where, "ghost cells added", self.ghosts, "cells", at_most=20.0, by_worst=True, digits=0)
-        )
+        rows.append(Row("ghost cells added", self.ghosts, "cells", where, at_most=20.0, by_worst=True))
         return rows
 
     def _found_rows(
@@ -85,9 +83,9 @@ class Outcome:
         """Of these moments; the latter two are bounds."""
         found, ok, end = ([of[k] for k in moments] for of in (self.found_s, self.ok_s, self.end_mm))
         return [
-            Row(where, f"{on}: found again after", found, "s", at_most=found_s, by_worst=True),
-            Row(where, f"{on}: `ok` again after", ok, "s"),
-            Row(where, f"{on}: off at the end", end, "mm", at_most=end_mm, by_worst=True, digits=1),
+            Row(f"{on}: found again after", found, "s", where, at_most=found_s, by_worst=True),
+            Row(f"{on}: `ok` again after", ok, "s", where),
+            Row(f"{on}: off at the end", end, "mm", where, at_most=end_mm, by_worst=True),
         ]
 
 

@@ -152,6 +152,6 @@ def _rows(
 ) -> list[Row]:
     error_m, error_deg = _errors(estimate, near, offset_x_m)
     return [
-        Row("", what, [error_m], "m", at_most=most_m, digits=4),
-        Row("", what, [error_deg], "deg", at_most=most_deg),
+        Row(what, [error_m], "m", at_most=most_m, digits=4),
+        Row(what, [error_deg], "deg", at_most=most_deg),
     ]

@@ -97,17 +97,16 @@ class Looks:
         wrong_ok = sum(look.was_wrong_ok for look in self.all)
 
         def one(what: str, value: float, unit: str, **bounds: float) -> Row:
-            return Row(case, f"{how}: {what}", [value], unit, digits=0, **bounds)  # type: ignore[arg-type]
+            return Row(f"{how}: {what}", [value], unit, case, digits=0, **bounds)  # type: ignore[arg-type]
 
         return [
             one(f"right, of {count}", 100.0 * len(right) / count, "%"),
             Row(
-                case,
                 f"{how}: right, or lost between two that are alike",
                 [100.0 * (len(right) + alike) / count],
                 "%",
+                case,
                 at_least=at_least,
-                digits=0,
                 cause=cause,
             ),
             one("lost", float(len(lost)), "places"),
@@ -115,18 +114,15 @@ class Looks:
             one("lost, and likelier elsewhere", float(elsewhere), "places"),
             one("wrong", float(sum(look.is_wrong for look in self.all)), "places", at_most=0.0),
             one("`ok` and wrong", float(wrong_ok), "places", at_most=0.0),
+            Row(f"{how}: off where right", [look.off_mm for look in right] or [math.nan], "mm", case),
+            Row(f"{how}: found after", [look.found_s for look in right] or [math.nan], "s", case),
             Row(
-                case, f"{how}: off where right", [look.off_mm for look in right] or [math.nan], "mm", digits=1
-            ),
-            Row(case, f"{how}: found after", [look.found_s for look in right] or [math.nan], "s", digits=2),
-            Row(
-                case,
                 f"{how}: longest search, processor",
                 [look.cpu_s for look in self.all],
                 "s",
+                case,
                 at_most=1.0,
                 by_worst=True,
-                digits=2,
             ),
         ]
 

@@ -119,21 +119,11 @@ def scenes(seeds: Sequence[int]) -> Section:
 
 def rows(scene: str, of: Sequence[Verdict]) -> list[Row]:
     """What has a bound, over all worlds. Where the sources that are left are good, so has the pose."""
-    worst = partial(Row, "", by_worst=True)
+    worst = partial(Row, by_worst=True)
     made = [
+        worst(f"{scene}: `ok` and {WRONG_M} m off", [v.ok_off for v in of], "scans", at_most=0.0),
         worst(
-            f"{scene}: `ok` and {WRONG_M} m off",
-            [float(v.ok_off) for v in of],
-            "scans",
-            at_most=0.0,
-            digits=0,
-        ),
-        worst(
-            f"{scene}: needless before and after",
-            [v.needless_still_percent for v in of],
-            "%",
-            at_most=1.0,
-            digits=1,
+            f"{scene}: needless before and after", [v.needless_still_percent for v in of], "%", at_most=1.0
         ),
     ]
     if scene in RECORDINGS:
@@ -143,8 +133,8 @@ def rows(scene: str, of: Sequence[Verdict]) -> list[Row]:
             worst(
                 f"{scene}: off after it, beyond 2 % of its way", [v.over_m for v in of], "m", at_most=RIGHT_M
             ),
-            worst(f"{scene}: right after", [v.right_after_s for v in of], "s", at_most=2.0, digits=1),
-            worst(f"{scene}: ghosts", [float(v.ghosts) for v in of], "cells", at_most=20.0, digits=0),
+            worst(f"{scene}: right after", [v.right_after_s for v in of], "s", at_most=2.0),
+            worst(f"{scene}: ghosts", [v.ghosts for v in of], "cells", at_most=20.0),
         ]
     return made
 

@@ -59,9 +59,9 @@ def lux_alone(seeds: Sequence[int]) -> Section:
     for place, bound_mm in (("glass_corridor", 50.0), ("corridor100", None), ("office", None)):
         errors = errors_of(Trip(WORLDS[place], LUX_AHEAD, wheels=GOOD_WHEELS, imu=Imu()), seeds)
         rows += [
-            Row("", f"{place}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm, digits=1),
-            Row("", f"{place}: live, as is", errors.as_is_mm, "mm", digits=1),
-            Row("", f"{place}: heading, RMS", errors.heading_deg, "deg"),
+            Row(f"{place}: ATE after the finish", errors.finished_mm, "mm", at_most=bound_mm),
+            Row(f"{place}: live, as is", errors.as_is_mm, "mm"),
+            Row(f"{place}: heading, RMS", errors.heading_deg, "deg"),
             ok_and_wrong_row(place, errors.wrong_ok),
         ]
     return Section(
@@ -107,9 +107,9 @@ def wrong_mounting(seeds: Sequence[int]) -> Section:
             is_wrong = off != SE2()
             bounds = {"at_least": 50.0} if is_wrong else {"at_most": 0.0}
             case = f"{place}, {what}"
-            rows.append(Row("", f"{case}: scans that say so", facts, "%", by_worst=True, digits=0, **bounds))
+            rows.append(Row(f"{case}: scans that say so", facts, "%", by_worst=True, **bounds))
             if is_wrong:
-                rows.append(Row("", f"{case}: first said after", first_m, "m", digits=0))
+                rows.append(Row(f"{case}: first said after", first_m, "m", digits=0))
     return Section(
         "A mounting that is wrong",
         "One LMS-100 at 50 Hz, a lap, odometry; the mounting that the mapper is given is off the true one. "
@@ -124,8 +124,8 @@ def _rows(
 ) -> list[Row]:
     errors = errors_of(trip, seeds, mapping_config(settings or {}))
     return [
-        Row("", f"{what}: ATE after the finish", errors.finished_mm, "mm", digits=1),
-        Row("", f"{what}: scans lost", errors.lost_percent, "%", digits=1),
+        Row(f"{what}: ATE after the finish", errors.finished_mm, "mm"),
+        Row(f"{what}: scans lost", errors.lost_percent, "%"),
         ok_and_wrong_row(what, errors.wrong_ok),
     ]
 

@@ -70,9 +70,9 @@ def _rows(places: Sequence[Place], seeds: Sequence[int]) -> list[Row]:
             errors.add(made, done)
             gc.collect()
         rows += [
-            Row("", f"{place.name}: ATE after the finish", errors.finished_mm, "mm", digits=1),
-            Row("", f"{place.name}: ATE live", errors.ate_mm, "mm", digits=1),
-            Row("", f"{place.name}: scans lost", errors.lost_percent, "%", digits=1),
+            Row(f"{place.name}: ATE after the finish", errors.finished_mm, "mm"),
+            Row(f"{place.name}: ATE live", errors.ate_mm, "mm"),
+            Row(f"{place.name}: scans lost", errors.lost_percent, "%"),
             ok_and_wrong_row(place.name, errors.wrong_ok),
         ]
     return rows

@@ -33,11 +33,11 @@ def motion(seeds: Sequence[int]) -> Section:
             errors.add(drive, done)
             ghosts.append(float(ghost_cells(trip.world_of(seed), drive, done)))
         rows += [
-            Row("", f"{name}: as is, RMS", errors.as_is_mm, "mm", at_most=10.0, digits=1),
-            Row("", f"{name}: scans lost", errors.lost_percent, "%", at_most=0.0, by_worst=True, digits=1),
+            Row(f"{name}: as is, RMS", errors.as_is_mm, "mm", at_most=10.0),
+            Row(f"{name}: scans lost", errors.lost_percent, "%", at_most=0.0, by_worst=True),
         ]
         if name == "crowd":
-            rows.append(Row("", "crowd: ghost cells", ghosts, "cells", at_most=0.0, by_worst=True, digits=0))
+            rows.append(Row("crowd: ghost cells", ghosts, "cells", at_most=0.0, by_worst=True))
     return Section(
         "Turns, stops and a crowd",
         "spins: turns at 3 rad/s on the spot in four rooms of the office. stop_and_go: a stop every 2 m. "
@@ -86,12 +86,10 @@ def bare_corridor(seeds: Sequence[int]) -> Section:
             ratios.append(done.end_error[0] / wheels_m)
             facts.append(100.0 * _reported_share(done))
         rows += [
-            Row(
-                "", f"{what}: error at the end / that of the odometry", ratios, "times", at_most=1.0, digits=2
-            ),
-            Row("", f"{what}: error at the end", ends, "mm", digits=0),
-            Row("", f"{what}: of the odometry alone", alone, "mm", digits=0),
-            Row("", f"{what}: scans that name the free direction", facts, "%", at_least=95.0, digits=1),
+            Row(f"{what}: error at the end / that of the odometry", ratios, "times", at_most=1.0),
+            Row(f"{what}: error at the end", ends, "mm"),
+            Row(f"{what}: of the odometry alone", alone, "mm"),
+            Row(f"{what}: scans that name the free direction", facts, "%", at_least=95.0),
         ]
     return Section(
         "A bare corridor",
@@ -118,9 +116,9 @@ def parked(seeds: Sequence[int]) -> Section:
         "rate. The vehicle turns to its heading first. Creep is the mean of the last 10 s against the mean "
         "from 10 s to 20 s.",
         [
-            Row("", "creep", ends_mm, "mm", at_most=1.0, digits=2),
-            Row("", "creep of the heading", ends_deg, "deg", at_most=0.01, digits=4),
-            Row("", "farthest single pose", worst_mm, "mm", digits=2),
+            Row("creep", ends_mm, "mm", at_most=1.0, digits=2),
+            Row("creep of the heading", ends_deg, "deg", at_most=0.01, digits=4),
+            Row("farthest single pose", worst_mm, "mm", digits=2),
         ],
     )
 
@@ -162,12 +160,8 @@ def _against(what: str, errors_mm: list[float], clean_mm: list[float]) -> list[R
     ratios = [error / clean for error, clean in zip(errors_mm, clean_mm, strict=True)]
     bound = None if errors_mm is clean_mm else 2.0
     return [
-        Row("", f"{what}: as is, RMS", errors_mm, "mm", digits=1),
-        *(
-            []
-            if bound is None
-            else [Row("", f"{what}: against clean", ratios, "times", at_most=bound, digits=2)]
-        ),
+        Row(f"{what}: as is, RMS", errors_mm, "mm"),
+        *([] if bound is None else [Row(f"{what}: against clean", ratios, "times", at_most=bound)]),
     ]
 
 

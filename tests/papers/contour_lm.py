@@ -84,28 +84,28 @@ def niches(seeds: Sequence[int]) -> Section:
     joined = mouths(config_of(contours=JOINED, traditional=True))
     own = mouths(config_of(traditional=True))
     rows = [
-        Row("A46 A10", "traditional map, points joined up to 1 m: likelihood in the mouths", joined, "of 1"),
-        Row("A46 A10", "traditional map on the profile's contours: likelihood there", own, "of 1"),
+        Row("traditional map, points joined up to 1 m: likelihood in the mouths", joined, "of 1", "A46 A10"),
+        Row("traditional map on the profile's contours: likelihood there", own, "of 1", "A46 A10"),
         Row(
-            "A46",
             "the profile by the first: contours and blur differ",
             share(config_of(), joined),
             "of 1",
+            "A46",
             at_most=0.5,
         ),
         Row(
-            "A46",
             "the profile's blur on the long contours, by the first: the blur differs",
             share(config_of(contours=JOINED), joined),
             "of 1",
+            "A46",
             at_most=0.5,
             cause=BLUR_ALONE,
         ),
         Row(
-            "A46",
             "the profile by the second: the blur differs",
             share(config_of(), own),
             "of 1",
+            "A46",
             at_most=0.5,
             cause=BLUR_ALONE,
         ),
@@ -115,7 +115,7 @@ def niches(seeds: Sequence[int]) -> Section:
         for along, across in ((10.0, 1.5), (1.5, 10.0)):
             config = config_of(cell_m, along_cells=along, across_cells=across)
             what = f"cells of {100 * cell_m:g} cm, {along:g} along, {across:g} across: share, seed {seeds[0]}"
-            rows.append(Row("A19", what, [in_the_mouths(niche_drive(seeds[0]), config) / base], "of 1"))
+            rows.append(Row(what, [in_the_mouths(niche_drive(seeds[0]), config) / base], "of 1", "A19"))
     maps = {
         "traditional": learn(niche_drive(seeds[0]), config_of(contours=JOINED, traditional=True), 5),
         "profile": learn(niche_drive(seeds[0]), config_of(), 5),
@@ -186,19 +186,19 @@ def ring(seeds: Sequence[int]) -> Section:
         ratio = float(np.median(with_it) / np.median(without))
         better = 100.0 * float(np.mean(np.array(gain) > 0.0))
         rows += [
-            Row("A47", f"{name}, with deskewing", with_it, "m"),
-            Row("A47", f"{name}, without", without, "m"),
-            Row("A47", f"{name}: without less with, seed by seed", gain, "m", at_least=0.0, cause=HIDDEN),
-            Row("A47", f"{name}: seeds in which deskewing is better", [better], "%", digits=0),
-            Row("A47", f"{name}: median with by median without", [ratio], "times", at_most=0.5, cause=HIDDEN),
+            Row(f"{name}, with deskewing", with_it, "m", "A47"),
+            Row(f"{name}, without", without, "m", "A47"),
+            Row(f"{name}: without less with, seed by seed", gain, "m", "A47", at_least=0.0, cause=HIDDEN),
+            Row(f"{name}: seeds in which deskewing is better", [better], "%", "A47"),
+            Row(f"{name}: median with by median without", [ratio], "times", "A47", at_most=0.5, cause=HIDDEN),
         ]
     first = f"seed {seeds[0]}"
     rows += [
-        Row("A5", f"printed time between beams: closure, {first}", [literal.end_error[0]], "m"),
-        Row("A5", f"printed time between beams: position, RMS, {first}", [literal.position_rmse_m], "m"),
-        Row("A36", f"a scan learned each 0.1 s: closure, {first}", [seldom.end_error[0]], "m"),
-        Row("A36", f"a scan learned each 0.1 s: position, RMS, {first}", [seldom.position_rmse_m], "m"),
-        Row("A8", "mean time a scan", [float(r.scan_ms.mean()) for r in deskewed], "ms", digits=1),
+        Row(f"printed time between beams: closure, {first}", [literal.end_error[0]], "m", "A5"),
+        Row(f"printed time between beams: position, RMS, {first}", [literal.position_rmse_m], "m", "A5"),
+        Row(f"a scan learned each 0.1 s: closure, {first}", [seldom.end_error[0]], "m", "A36"),
+        Row(f"a scan learned each 0.1 s: position, RMS, {first}", [seldom.position_rmse_m], "m", "A36"),
+        Row("mean time a scan", [float(r.scan_ms.mean()) for r in deskewed], "ms", "A8"),
     ]
     return Section(
         "Ring of 100 m",
@@ -229,15 +229,15 @@ def pairwise(seeds: Sequence[int]) -> Section:
         ):
             off[name].append(ran.end_error[0])
     path_m = float(np.hypot(ride.truth[max(ride.truth)].x_m, ride.truth[max(ride.truth)].y_m))
-    rows = [Row("A8", f"{name}: off at the end", values, "m") for name, values in off.items()]
+    rows = [Row(f"{name}: off at the end", values, "m", "A8") for name, values in off.items()]
     for name in (OURS, INERTIAL):
         ratios = [pairs / ours for pairs, ours in zip(off[PAIRS], off[name], strict=True)]
         rows.append(
             Row(
-                "A8",
                 f"error of pairwise ICP by that of {name}",
                 ratios,
                 "times",
+                "A8",
                 at_least=1.0,
                 by_worst=True,
                 digits=1,
@@ -285,10 +285,10 @@ def turns(seeds: Sequence[int]) -> Section:
         "end; laser alone, every scan of "
         f"50 Hz. Errors are those of a place {AT_M:g} m away.",
         [
-            Row("A31", "mean turn rate found at 90 deg/s: off by", rate, "%", at_most=1.0, digits=2),
-            Row("A31", "its scatter, scan by scan", scatter, "%", digits=2),
-            Row("A6", "mean error while the rate is constant", steady, "m"),
-            Row("A6", "mean error while it changes by 2 rad/s²", ramps, "m"),
+            Row("mean turn rate found at 90 deg/s: off by", rate, "%", "A31", at_most=1.0, digits=2),
+            Row("its scatter, scan by scan", scatter, "%", "A31", digits=2),
+            Row("mean error while the rate is constant", steady, "m", "A6"),
+            Row("mean error while it changes by 2 rad/s²", ramps, "m", "A6"),
         ],
     )
 
@@ -308,16 +308,16 @@ def corridor(seeds: Sequence[int]) -> Section:
         "Corridor of 100 m, out and back",
         "Laser alone, no loop closing, every fourth scan of 50 Hz.",
         [
-            Row("A50", "end of the drive", [r.end_error[0] for r in runs], "m", at_most=0.10, by_worst=True),
+            Row("end of the drive", [r.end_error[0] for r in runs], "m", "A50", at_most=0.10, by_worst=True),
             Row(
-                "A50",
                 "heading there",
                 [float(np.degrees(r.end_error[1])) for r in runs],
                 "°",
+                "A50",
                 at_most=0.5,
                 by_worst=True,
             ),
-            Row("A50", "position, RMS over 194 m", [r.position_rmse_m for r in runs], "m"),
+            Row("position, RMS over 194 m", [r.position_rmse_m for r in runs], "m", "A50"),
         ],
         ran_on=seeds_text(seeds[:LONG_SEEDS]),
     )
@@ -330,8 +330,8 @@ def recorded(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothi
         found = scored("contour_lm", name)
         if found is not None and found.closure_m is not None:
             rows += [
-                Row("A50", f"{name}: closure", [found.closure_m], "m", at_most=0.10),
-                Row("A50", f"{name}: ATE", [found.error_m], "m"),
+                Row(f"{name}: closure", [found.closure_m], "m", "A50", at_most=0.10),
+                Row(f"{name}: ATE", [found.error_m], "m", "A50"),
             ]
     return Section(
         "Recorded corridors",

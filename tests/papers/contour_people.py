@@ -86,12 +86,12 @@ def people(
         left = [float(read(one, track)[:, 0].mean()) for one, track in zip(made, tracks, strict=True)]
         what = f"{update}: tracks {'with' if fades else 'without'} decrease"
         rows.append(
-            Row(ids, what, left, "of 1", at_most=0.1) if fades else Row(ids, what, left, "of 1", at_least=0.9)
+            Row(what, left, "of 1", ids, at_most=0.1) if fades else Row(what, left, "of 1", ids, at_least=0.9)
         )
         kept = [wall_mean(one, wall) for one, wall in zip(made, walls, strict=True)]
         if fades:
             rows.append(
-                Row(ids, f"{update}: walls with decrease", kept, "of 1", at_least=WALLS, by_worst=True)
+                Row(f"{update}: walls with decrease", kept, "of 1", ids, at_least=WALLS, by_worst=True)
             )
     corners = world.segments.reshape(-1, 2)
     (x0, y0), (x1, y1) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
@@ -169,7 +169,7 @@ def crossing(seeds: Sequence[int]) -> Section:
     rides = [drive(begun_beside(world, 0.0, y_m), LMS100_50HZ, 6.0, seeds[0]) for y_m in PHASES_M]
     kept = [wall_mean(learn(ride, config), seen_walls(ride, config.cell_m)) for ride in rides]
     what = f"averaged: walls after 6 s at {len(PHASES_M)} phases to the cells, seed {seeds[0]}"
-    rows = [*section.rows, Row("A48", what, kept, "of 1", at_least=WALLS, by_worst=True)]
+    rows = [*section.rows, Row(what, kept, "of 1", "A48", at_least=WALLS, by_worst=True)]
     return replace(section, rows=rows)
 
 
@@ -202,8 +202,8 @@ def protection(seeds: Sequence[int]) -> Section:
         left = float(read(made, tracks)[:, 0].mean())
         kept = wall_mean(made, seen_walls(ride, config.cell_m))
         rows += [
-            Row("A38", f"n_th {count}: tracks", [left], "of 1"),
-            Row("A38", f"n_th {count}: walls", [kept], "of 1"),
+            Row(f"n_th {count}: tracks", [left], "of 1", "A38"),
+            Row(f"n_th {count}: walls", [kept], "of 1", "A38"),
         ]
     return Section(
         "Number of scans after which a cell is protected",

@@ -32,7 +32,7 @@ def starts(what: Drive, beams: BeamsConfig, seed: int) -> Section:
         flat.insert(points, match)
     chosen = [scans[k] for k in np.linspace(0, len(scans) - 1, SCANS).astype(int)]
     noise = np.random.default_rng(1)
-    rows = [Row("A7", "same place found by sum and by sum of logarithms", [same_place(chosen, pyramid)], "%")]
+    rows = [Row("same place found by sum and by sum of logarithms", [same_place(chosen, pyramid)], "%", "A7")]
     for off_m, off_deg in OFFSETS:
         away = [
             SE2(
@@ -48,9 +48,7 @@ def starts(what: Drive, beams: BeamsConfig, seed: int) -> Section:
             ("finest level alone", 0.0, flat),
         ):
             figure = f"back from {100 * off_m:.0f} cm and {off_deg:.0f}°: {name}"
-            rows.append(
-                Row("A26 A42", figure, [brought_back(chosen, away, local_map, sigmas)], "%", digits=0)
-            )
+            rows.append(Row(figure, [brought_back(chosen, away, local_map, sigmas)], "%", "A26 A42"))
     return Section(
         "Start poses from which the search converges",
         f"{SCANS} scans of the corridor with niches, on the map of them all at true poses. The "

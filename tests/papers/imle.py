@@ -114,16 +114,15 @@ def accuracy_in_room(seeds: Sequence[int]) -> Section:
     scatter = [float(np.sqrt(((e - e.mean(axis=0)) ** 2).sum(axis=1).mean())) for e in errors]
     rows = [
         *section.rows,
-        Row("C25", "IMLE: mean error over the epochs", means, "m"),
-        Row("C25", f"IMLE: over epochs 1 to {EARLY}", early(runs["icp_then_search"]), "m"),
-        Row("C25", f"IMLE: over epochs 1 to {EARLY}, with the first scan alone in the map", early(lone), "m"),
-        Row("C25", "IMLE: RMS about that mean", scatter, "m"),
+        Row("IMLE: mean error over the epochs", means, "m", "C25"),
+        Row(f"IMLE: over epochs 1 to {EARLY}", early(runs["icp_then_search"]), "m", "C25"),
+        Row(f"IMLE: over epochs 1 to {EARLY}, with the first scan alone in the map", early(lone), "m", "C25"),
+        Row("IMLE: RMS about that mean", scatter, "m", "C25"),
         Row(
-            "C25",
             f"chance that the worst of {len(seeds)} is beyond {IN_ROOM_M} m by the first scan's noise alone",
             [100.0 * worst_is_beyond(len(seeds))],
             "%",
-            digits=0,
+            "C25",
         ),
     ]
     return replace(section, rows=rows, ran_on=seeds_text(seeds))
@@ -162,8 +161,8 @@ def every_scan(seeds: Sequence[int]) -> Section:
     found = [rms_m(mapped("icp_then_search", ride)) for ride in rides]
     drawn = rms_m(mapped("icp_then_search", rides[0], local_map={"insert_distance_m": 0.0}))
     rows = [
-        Row("C26", "IMLE: RMS of the position", found, "m", at_most=0.09, by_worst=True),
-        Row("C26", f"every scan drawn, seed {seeds[0]}: RMS of the position", [drawn], "m"),
+        Row("IMLE: RMS of the position", found, "m", "C26", at_most=0.09, by_worst=True),
+        Row(f"every scan drawn, seed {seeds[0]}: RMS of the position", [drawn], "m", "C26"),
     ]
     for name in RECORDED:
         rows += error_row("C26", "IMLE: ATE of the recording ", "imle", name, at_most=0.09, cause=SLIP)
@@ -187,10 +186,10 @@ def accuracy(title: str, ids: str, text: str, runs: Runs, column: int, bound_m: 
         published = PUBLISHED_M[matcher][column]
         rows.append(
             Row(
-                ids,
                 f"{name}: RMS of the position (published {published} m)",
                 [rms_m(r) for r in runs[matcher]],
                 "m",
+                ids,
                 at_most=bound_m if matcher == "icp_then_search" else None,
                 by_worst=True,
                 cause=cause,
@@ -204,7 +203,7 @@ def accuracy(title: str, ids: str, text: str, runs: Runs, column: int, bound_m: 
             ]
             name = f"{MATCHERS[matcher]}: so many times as far off"
             rows.append(
-                Row(ids, name, ratios, "times", at_least=10.0, by_worst=True, digits=1, cause=BY_CHANCE)
+                Row(name, ratios, "times", ids, at_least=10.0, by_worst=True, digits=1, cause=BY_CHANCE)
             )
     return Section(title, text, rows)
 
@@ -253,8 +252,8 @@ def over_time(seeds: Sequence[int]) -> Section:
     rows = []
     for name, part in (("before the last 20 s", slice(None, -20)), ("in the last 20 s", slice(-20, None))):
         errors = [np.hypot(*r.errors[part, :2].T) for r in runs["icp_then_search"]]
-        rows.append(Row("C35", f"IMLE: mean error {name}", [float(e.mean()) for e in errors], "m"))
-        rows.append(Row("C35", f"IMLE: largest error {name}", [float(e.max()) for e in errors], "m"))
+        rows.append(Row(f"IMLE: mean error {name}", [float(e.mean()) for e in errors], "m", "C35"))
+        rows.append(Row(f"IMLE: largest error {name}", [float(e.max()) for e in errors], "m", "C35"))
     return Section(
         "Error over time in the corridor",
         "In the paper the error of all three methods rises among glass and plants.",
@@ -279,7 +278,7 @@ def cost(seeds: Sequence[int]) -> Section:
                 what += f" (published {PUBLISHED_MS[matcher]:.0f} ms)"
             bound = 5.0 if matcher == "icp_then_search" and part == "all" else None
             values = [float(ms[of].mean()) for ms in took_ms]
-            rows.append(Row("C28 C29", what, values, "ms", at_most=bound, digits=2))
+            rows.append(Row(what, values, "ms", "C28 C29", at_most=bound))
     return Section(
         "Cost",
         "The corridor again: matching, map and shown map together, one core; of each scan the least of three "
@@ -298,7 +297,7 @@ def as_printed(seeds: Sequence[int]) -> Section:
         "without refinement between the cells": {"matcher": {"refine": False}},
     }
     rows = [
-        Row("C1 C9 C10", name, [rms_m(mapped("icp_then_search", what, **settings)) for what in room], "m")
+        Row(name, [rms_m(mapped("icp_then_search", what, **settings)) for what in room], "m", "C1 C9 C10")
         for name, settings in variants.items()
     ]
     return Section("Effect of the choices", "RMS of the position in the T-shaped room.", rows)
@@ -320,39 +319,37 @@ def large(seeds: Sequence[int]) -> Section:
         of = found[size]
         ratios = [r["median_ms"] / base["median_ms"] for r, base in zip(of, found[100], strict=True)]
         rows += [
-            Row("C30", f"{size} m: median time a scan", [r["median_ms"] for r in of], "ms", digits=2),
-            Row("C30", f"{size} m: that by the one of 100 m", ratios, "times", at_most=1.10),
-            Row("C30 C31", f"{size} m: longest scan", [r["longest_ms"] for r in of], "ms", digits=1),
+            Row(f"{size} m: median time a scan", [r["median_ms"] for r in of], "ms", "C30"),
+            Row(f"{size} m: that by the one of 100 m", ratios, "times", "C30", at_most=1.10),
+            Row(f"{size} m: longest scan", [r["longest_ms"] for r in of], "ms", "C30 C31"),
             Row(
-                "C30",
                 f"{size} m: memory that the map adds",
                 [r["grown_mb"] for r in of],
                 "MB",
+                "C30",
                 at_most=150.0,
                 by_worst=True,
-                digits=0,
             ),
-            Row("C30", f"{size} m: on disk and in memory", [r["map_mb"] for r in of], "MB", digits=0),
+            Row(f"{size} m: on disk and in memory", [r["map_mb"] for r in of], "MB", "C30"),
         ]
     rows.append(
         Row(
-            "C30",
             "bytes per square centimetre of a patch on disk",
             [r["bytes_per_cm2"] for r in found[300]],
             "bytes",
+            "C30",
             at_most=1.05,
         )
     )
     crossings = [r["crossing_ms"] - r["median_ms"] for size in (200, 300) for r in found[size]]
     rows.append(
         Row(
-            "C31",
             "crossing into a patch never in memory adds (published 200 ms)",
             crossings,
             "ms",
+            "C31",
             at_most=20.0,
             by_worst=True,
-            digits=1,
         )
     )
     return Section(

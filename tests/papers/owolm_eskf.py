@@ -94,7 +94,7 @@ def _against_plain(seeds: Sequence[int]) -> Section:
     maps = [_aligned(ran, ride) for ran, ride in zip(weighed, rides, strict=True)]
     far, closure = [aligned.far_share for aligned in maps], [r.end_error[0] for r in weighed]
     shown = {"weighed": (maps[0].xy, maps[0].likelihood)}
-    rows = [Row("B28", "share of the map's mass farther than 5 cm from the structure", far, "of 1")]
+    rows = [Row("share of the map's mass farther than 5 cm from the structure", far, "of 1", "B28")]
     runs_of, far_of = {}, {}
     for cells in PLAIN_CELLS:
         runs_of[cells] = [
@@ -103,7 +103,7 @@ def _against_plain(seeds: Sequence[int]) -> Section:
         maps_plain = [_aligned(ran, ride) for ran, ride in zip(runs_of[cells], rides, strict=True)]
         far_of[cells] = [aligned.far_share for aligned in maps_plain]
         shown[f"plain, {cells} cells"] = (maps_plain[0].xy, maps_plain[0].likelihood)
-        rows.append(Row("B28", f"the same of the plain map, blurred by {cells} cells", far_of[cells], "of 1"))
+        rows.append(Row(f"the same of the plain map, blurred by {cells} cells", far_of[cells], "of 1", "B28"))
     best = min(PLAIN_CELLS, key=lambda cells: float(np.median(far_of[cells])))
     plain = runs_of[best]
     closure_plain = [r.end_error[0] for r in plain]
@@ -123,27 +123,22 @@ def _against_plain(seeds: Sequence[int]) -> Section:
         [
             *rows,
             Row(
-                "B28",
                 "ratio to the best plain map",
                 _ratios(far, far_of[best]),
                 "times",
+                "B28",
                 at_most=0.65,
                 by_worst=True,
                 cause=WIDE,
             ),
-            Row("B28", "the same ratio of two maps at true poses", _ratios(true, true_plain), "times"),
-            Row("B29", "closure", closure, "m", at_most=0.15, by_worst=True),
-            Row("B29", "closure of that plain map", closure_plain, "m"),
+            Row("the same ratio of two maps at true poses", _ratios(true, true_plain), "times", "B28"),
+            Row("closure", closure, "m", "B29", at_most=0.15, by_worst=True),
+            Row("closure of that plain map", closure_plain, "m", "B29"),
             Row(
-                "B29",
-                "ratio of the two",
-                _ratios(closure, closure_plain),
-                "times",
-                at_most=0.5,
-                cause=CLOSES,
+                "ratio of the two", _ratios(closure, closure_plain), "times", "B29", at_most=0.5, cause=CLOSES
             ),
-            Row("B29", "position, RMS over the lap", [r.position_rmse_m for r in weighed], "m"),
-            Row("B29", "position of that plain map", [r.position_rmse_m for r in plain], "m"),
+            Row("position, RMS over the lap", [r.position_rmse_m for r in weighed], "m", "B29"),
+            Row("position of that plain map", [r.position_rmse_m for r in plain], "m", "B29"),
         ],
         pictures=[
             draw_maps({k: shown[k] for k in ("weighed", f"plain, {best} cells")}, 0.05, SHOWN_M, seeds[0])
@@ -166,11 +161,11 @@ def _check_points(seeds: Sequence[int]) -> Section:
         "Sides of bookcases are books, not fronts, which is most of points 9 to 16. The table shows seed "
         f"{seeds[0]}.",
         [
-            Row("B30", "corners found of 18", found, "corners", at_least=18, digits=0),
-            Row("B30", "median residual", _medians_cm(maps), "cm", at_most=2.85, digits=2, cause=BOOKS),
-            Row("B30", "RMS residual", _rms_cm(maps), "cm", at_most=6.5, digits=2),
-            Row("B30", "median residual in a map at true poses", _medians_cm(true), "cm", digits=2),
-            Row("B30", "RMS residual there", _rms_cm(true), "cm", digits=2),
+            Row("corners found of 18", found, "corners", "B30", at_least=18),
+            Row("median residual", _medians_cm(maps), "cm", "B30", at_most=2.85, cause=BOOKS),
+            Row("RMS residual", _rms_cm(maps), "cm", "B30", at_most=6.5),
+            Row("median residual in a map at true poses", _medians_cm(true), "cm", "B30"),
+            Row("RMS residual there", _rms_cm(true), "cm", "B30"),
         ],
         [_table(maps[0].residuals)],
         [draw_overlay(maps[0].xy, maps[0].likelihood, library_structure(), library_check_points(), seeds[0])],
@@ -225,9 +220,9 @@ def _begun_at_an_angle(seeds: Sequence[int]) -> Section:
         found_deg = math.degrees(_map_of(ran).pose_axes_odom.theta_rad)
         away_deg = abs((found_deg - heading_deg + 45.0) % 90.0 - 45.0)
         rows += [
-            Row("B18", f"begun at {heading_deg:.0f}°: axes of the map off the walls by", [away_deg], "°"),
-            Row("B18", f"begun at {heading_deg:.0f}°: closure", [ran.end_error[0]], "m", at_most=0.15),
-            Row("B18", f"begun at {heading_deg:.0f}°: position, RMS", [ran.position_rmse_m], "m"),
+            Row(f"begun at {heading_deg:.0f}°: axes of the map off the walls by", [away_deg], "°", "B18"),
+            Row(f"begun at {heading_deg:.0f}°: closure", [ran.end_error[0]], "m", "B18", at_most=0.15),
+            Row(f"begun at {heading_deg:.0f}°: position, RMS", [ran.position_rmse_m], "m", "B18"),
         ]
     return Section(
         "Start at an angle to the walls",
@@ -250,15 +245,14 @@ def _one_witness(seeds: Sequence[int]) -> Section:
             for seed in seeds
         ]
         rows += [
-            Row("B29", f"{name}: position, RMS", [ran.position_rmse_m for ran in runs], "m"),
+            Row(f"{name}: position, RMS", [ran.position_rmse_m for ran in runs], "m", "B29"),
             Row(
-                "B29",
                 f"{name}: scans that are `ok` and more than {OFF_M} m off",
                 [100.0 * _ok_and_off(ran) for ran in runs],
                 "%",
+                "B29",
                 at_most=0.0,
                 by_worst=True,
-                digits=1,
             ),
         ]
     return Section(

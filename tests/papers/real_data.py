@@ -110,7 +110,6 @@ def buildings(seeds: Sequence[int]) -> Section:
         "its maps.",
         rows=[
             Row(
-                "",
                 f"{profile}: mean error on fr079",
                 [outcomes[profile, "fr079"].error_m or 0.0],
                 "m",
@@ -175,7 +174,7 @@ def relations(name: str, seeds: Sequence[int]) -> Section:
     usual = scored("corridor", name)
     if usual is None:
         return Section("Not run", f"no recording {name}; set CORRIDOR_SHARED")
-    rows = [Row(name, "corridor, the default", [usual.error_m], "m")]
+    rows = [Row("corridor, the default", [usual.error_m], "m", name)]
     bound_m = round(2.0 * usual.error_m, 3)
     for profile in METHODS:
         if profile == "corridor":
@@ -183,13 +182,13 @@ def relations(name: str, seeds: Sequence[int]) -> Section:
         found = scored(profile, name)
         assert found is not None
         cause = CAUSES.get((profile, name), "")
-        rows.append(Row(name, profile, [found.error_m], "m", at_most=bound_m, cause=cause))
+        rows.append(Row(profile, [found.error_m], "m", name, at_most=bound_m, cause=cause))
         if profile == "submap_graph" and name in DRAWN:
             drawn = [scored(profile, name, {"matcher": {"seed": seed}}) for seed in seeds]
             errors_m = [one.error_m for one in drawn if one is not None]
-            rows.append(Row(name, f"{profile}: drawn with {seeds_text(seeds)}", errors_m, "m"))
+            rows.append(Row(f"{profile}: drawn with {seeds_text(seeds)}", errors_m, "m", name))
         if found.lost_share:
-            rows.append(Row(name, f"{profile}: scans lost", [100.0 * found.lost_share], "%", digits=1))
+            rows.append(Row(f"{profile}: scans lost", [100.0 * found.lost_share], "%", name))
     return Section(
         f"Beside the default profile: {name}",
         "Replays with every parameter at its default; mean error of the relations. Those of fr079 and intel "

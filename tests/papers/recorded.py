@@ -74,4 +74,4 @@ def error_row(
 ) -> list[Row]:
     """One row, or none without the recording."""
     found = scored(profile, name, settings)
-    return [] if found is None else [Row(ids, f"{what}{name}", [found.error_m], "m", at_most, cause=cause)]
+    return [] if found is None else [Row(f"{what}{name}", [found.error_m], "m", ids, at_most, cause=cause)]

@@ -9,20 +9,22 @@ import numpy as np
 
 TITLE = "## "
 FOLDER = Path("build") / "papers"
+COUNTS = ("cells", "corners", "fixes", "loops", "places", "scans")
+DIGITS = {"MB": 0, "mm": 1, "%": 1, "ms": 2, "s": 2, "cm": 2, **dict.fromkeys(COUNTS, 0)}  # 3 of other units
 
 
 @dataclass(frozen=True)
 class Row:
     """One figure over all seeds. A bound is met by the median, or by the worst where `by_worst`."""
 
-    ids: str  # of the checklist, "A47 A5", or the world; "" where there is nothing to tell
     what: str
     values: Sequence[float]  # one a seed
     unit: str  # of a count what is counted, of a ratio "times", of a share "of 1"
+    case: str = ""  # the world, or what of the checklist, "A47 A5"
     at_most: float | None = None
     at_least: float | None = None
     by_worst: bool = False
-    digits: int = 3
+    digits: int | None = None  # None: those of the unit
     cause: str = ""  # why the bound is missed, in a sentence: reported where it is
 
     def __post_init__(self) -> None:
@@ -104,7 +106,7 @@ def below_title(section: Section) -> list[str]:
 def _table(rows: Sequence[Row]) -> list[str]:
     """Without the column of cases where no row names one."""
     cells = [("case", "figure", "median", "worst", "bound", "met"), *map(_cells, rows)]
-    first = 0 if any(row.ids for row in rows) else 1
+    first = 0 if any(row.case for row in rows) else 1
     lines = [f"| {' | '.join(row[first:])} |" for row in cells]
     return [lines[0], "|" + "---|" * (6 - first), *lines[1:]]
 
@@ -116,5 +118,6 @@ def _cells(row: Row) -> tuple[str, ...]:
     if bound and row.by_worst:
         bound += " every seed"
     met = {None: "", True: "yes", False: f"**no**: {row.cause}" if row.cause else "**no**"}[row.met]
-    median, worst = (f"{value:.{row.digits}f} {row.unit}" for value in (row.median, row.worst))
-    return row.ids, row.what, median, worst, bound, met
+    digits = DIGITS.get(row.unit, 3) if row.digits is None else row.digits
+    median, worst = (f"{value:.{digits}f} {row.unit}" for value in (row.median, row.worst))
+    return row.case, row.what, median, worst, bound, met

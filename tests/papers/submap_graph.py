@@ -84,9 +84,9 @@ def precision(place: Place, seeds: Sequence[int]) -> Section:
     """D19."""
     found = [in_submaps(place, seed) for seed in seeds[: place.seeds]]
     rows = [
-        Row("D19", f"worst of {CHECK_POINTS} check points", worst(found), "m", 0.10, by_worst=True),
-        Row("D19", "worst distance between two", distances(found), "m", 0.10, by_worst=True),
-        Row("", "CPU a scan", [one.scan_ms for one in found], "ms", digits=1),
+        Row(f"worst of {CHECK_POINTS} check points", worst(found), "m", "D19", at_most=0.10, by_worst=True),
+        Row("worst distance between two", distances(found), "m", "D19", at_most=0.10, by_worst=True),
+        Row("CPU a scan", [one.scan_ms for one in found], "ms"),
     ]
     return Section(
         f"The {place.name}, {place.area_m2} m2",
@@ -113,8 +113,8 @@ def weights(seeds: Sequence[int]) -> Section:
             ("around the scan, p / q", drawn),
         ):
             rows += [
-                Row("D2", f"{place.name}, {name}: one map, worst check point", worst(single), "m"),
-                Row("D2", f"{place.name}, {name}: sub-maps, worst check point", worst(whole), "m"),
+                Row(f"{place.name}, {name}: one map, worst check point", worst(single), "m", "D2"),
+                Row(f"{place.name}, {name}: sub-maps, worst check point", worst(whole), "m", "D2"),
             ]
     return Section(
         "Weight of a particle",
@@ -153,18 +153,18 @@ def against_single(seeds: Sequence[int]) -> Section:
         "The same drives round the floors of 2000 m2 with as many particles, as one map without loop "
         "closing: later scans are matched to its errors.",
         [
-            Row("D18", "one map: worst check point", worst(single), "m"),
+            Row("one map: worst check point", worst(single), "m", "D18"),
             Row(
-                "D18",
                 "so many times that of the sub-maps",
                 ratios,
                 "times",
+                "D18",
                 at_least=3.0,
                 by_worst=True,
                 digits=1,
                 cause=SHORT,
             ),
-            Row("", "one map: CPU a scan", [one.scan_ms for one in single], "ms", digits=1),
+            Row("one map: CPU a scan", [one.scan_ms for one in single], "ms"),
         ],
         pictures=[save(figure, "submap-graph-floor.png", caption)],
         ran_on=seeds_text(seeds),
@@ -208,22 +208,21 @@ def memory(seeds: Sequence[int]) -> Section:
         "in steps of 1 mm and 0.1 mrad; and beside it, once, the walls of the 8 sub-maps that were compared "
         "last.",
         [
-            Row("D8", "tiles of the particles: last lap by second", [ratio], "times", at_most=1.1),
+            Row("tiles of the particles: last lap by second", [ratio], "times", "D8", at_most=1.1),
             Row(
-                "D8",
                 "the graph keeps for 100 m of path, second lap to last",
                 [100.0 * grown_mb / driven_m],
                 "MB",
+                "D8",
                 digits=2,
             ),
-            Row("D8", "walls of the 8 sub-maps, whatever the path", [walls_mb], "MB", digits=1),
+            Row("walls of the 8 sub-maps, whatever the path", [walls_mb], "MB", "D8", digits=1),
             Row(
-                "D8",
                 "both for two hours at 1 m/s, by this",
                 [7200.0 * grown_mb / driven_m + walls_mb],
                 "MB",
+                "D8",
                 at_most=50.0,
-                digits=0,
                 cause=KEEPS,
             ),
         ],
@@ -254,9 +253,9 @@ def hours_reported(found: Mapping[str, Any], seed: int) -> Section:
         "before the first scan: particles, shown map, graph, and what a solve of the graph needs, 27 MB for "
         "2000 track points, which the C library does not give back.",
         [
-            Row("D8", "the graph keeps", [found["graph_mb"]], "MB", at_most=50.0, digits=0),
-            Row("D8", "resident memory after ten minutes", [first["resident_mb"]], "MB", digits=0),
-            Row("D8", "resident memory at the end", [last["resident_mb"]], "MB", digits=0),
+            Row("the graph keeps", [found["graph_mb"]], "MB", "D8", at_most=50.0),
+            Row("resident memory after ten minutes", [first["resident_mb"]], "MB", "D8"),
+            Row("resident memory at the end", [last["resident_mb"]], "MB", "D8"),
         ],
         ["\n".join(lines)],
         ran_on=seeds_text([seed]),
