@@ -61,11 +61,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         "service.mapper.graph.model.candidate_submap",
         {"LOOP_UNKNOWN_LIKELIHOOD": 0.0},
     ),
-    (
-        "motion within a sweep ([23])",
-        "service.estimator.estimator",
-        {"deskew_sweep": deskewed_by_twist},
-    ),
+    ("motion within a sweep ([23])", "service.estimator.estimator", {"deskew_sweep": deskewed_by_twist}),
     (
         "acceleration that lasts",
         "service.estimator.estimator",
@@ -76,11 +72,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         "service.mapper.filters.deskew.DeskewByMotion",
         {"moment_of": DeskewByTwist.moment_of},
     ),
-    (
-        "odometry with a fault does not count",
-        "service.estimator.estimator",
-        {"FAULT_NOISE": math.inf},
-    ),
+    ("odometry with a fault does not count", "service.estimator.estimator", {"FAULT_NOISE": math.inf}),
     (
         "match tried where the vehicle would be had it gone on",
         f"{METHOD}.surfel_gauss_newton.SurfelGaussNewton",
@@ -96,11 +88,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         f"{METHOD}.narrow_walls.NarrowWalls",
         {"direct": lambda *_: None, "insert": by_single_scans},
     ),
-    (
-        "aligned by surfels of half the size ([32])",
-        f"{METHOD}.submaps.Submap",
-        {"fine_grid": Submap.grid},
-    ),
+    ("aligned by surfels of half the size ([32])", f"{METHOD}.submaps.Submap", {"fine_grid": Submap.grid}),
     (
         "part of the scene moves where odometry and static walls agree ([35])",
         f"{METHOD}.moving_scene.MovingScene",
@@ -111,11 +99,7 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         "service.estimator.standstill.Standstill",
         {"is_uninformative": lambda *_: False},
     ),
-    (
-        "bias of the ranges learnt ([21])",
-        f"{METHOD}.range_bias.RangeBias",
-        {"is_due": lambda *_: False},
-    ),
+    ("bias of the ranges learnt ([21])", f"{METHOD}.range_bias.RangeBias", {"is_due": lambda *_: False}),
 )
 TRIPS = {
     "corridor100": Trip(WORLDS["corridor100"], LMS100_50HZ),

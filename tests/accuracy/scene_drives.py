@@ -17,15 +17,7 @@ from simulators.worlds import WORLDS
 from tests.accuracy.buildings import LMS100_25HZ
 from tests.accuracy.sensors import GOOD_WHEELS
 from tests.carried import carried_on, laser_silent, silent
-from tests.moving_things import (
-    Offset,
-    ahead,
-    around,
-    beside,
-    with_companions,
-    with_floor_seen,
-    with_train,
-)
+from tests.moving_things import Offset, ahead, around, beside, with_companions, with_floor_seen, with_train
 from tests.simulated import Drive, GyroFault, Imu, Laser, Wheels, begun_at, drive, heading_rad
 
 STAND_S = 0.5
@@ -167,13 +159,10 @@ SCENES: dict[str, Scene] = {
     "still": Scene("nothing happens", lambda stage: stage),
     "escort": Scene("people walk along on both sides", partial(_people, beside, 0.0, None)),
     "escort_alone": Scene(
-        "the same, laser alone",
-        lambda stage: _alone(_people(beside, 0.0, None, stage)),
-        is_bound=False,
+        "the same, laser alone", lambda stage: _alone(_people(beside, 0.0, None, stage)), is_bound=False
     ),
     "overtaking": Scene(
-        "people walk by on both sides, 1.3 times as fast",
-        partial(_people, beside, 0.0, 1.3),
+        "people walk by on both sides, 1.3 times as fast", partial(_people, beside, 0.0, 1.3)
     ),
     "ring_of_people": Scene("a ring of people goes along", partial(_people, around, 0.2, None), 8.0),
     "ahead": Scene("six people walk ahead", partial(_people, ahead, 0.6, None, counts=(6,)), 10.0),

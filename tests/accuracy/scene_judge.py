@@ -85,11 +85,7 @@ def normed(errors: Floats, outputs: Sequence[MapperOutput]) -> Floats:
 
 
 def judge(
-    outputs: Sequence[MapperOutput],
-    truth: Sequence[SE2],
-    from_ns: int,
-    to_ns: int,
-    ghosts: int = 0,
+    outputs: Sequence[MapperOutput], truth: Sequence[SE2], from_ns: int, to_ns: int, ghosts: int = 0
 ) -> Verdict:
     """Something is wrong from from_ns to to_ns; truth is where the base was at each output."""
     errors = errors_in_map(outputs, truth, from_ns)

@@ -18,17 +18,7 @@ Row = tuple[str, float, str]  # what was measured, how much, of what unit
 
 def main() -> int:
     ensure_cache_dir()
-    from tests.bench import (
-        accuracy,
-        cluster,
-        decoding,
-        fleet,
-        live,
-        reading,
-        secured,
-        site,
-        start_up,
-    )
+    from tests.bench import accuracy, cluster, decoding, fleet, live, reading, secured, site, start_up
 
     benchmarks: dict[str, Callable[[], list[Row]]] = {
         "decoding": decoding.measure,

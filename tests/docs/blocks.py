@@ -23,12 +23,7 @@ class Block:
 def blocks_of(page: Path) -> list[Block]:
     text = page.read_text(encoding="utf-8")
     return [
-        Block(
-            str(page.relative_to(ROOT)),
-            text.count("\n", 0, match.start(2)) + 1,
-            match[1],
-            match[2],
-        )
+        Block(str(page.relative_to(ROOT)), text.count("\n", 0, match.start(2)) + 1, match[1], match[2])
         for match in FENCE.finditer(text)
     ]
 

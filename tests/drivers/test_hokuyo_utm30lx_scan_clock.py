@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.hokuyo_utm30lx.scan_clock import (
-    ScanClock,
-    TimeSample,
-    bounds_of_time,
-)
+from drivers.hokuyo_utm30lx.scan_clock import ScanClock, TimeSample, bounds_of_time
 
 MS = 1_000_000
 WRAP = 1 << 24

@@ -5,13 +5,7 @@ import pytest
 
 from drivers.errors import ProtocolError
 from drivers.hokuyo_utm30lx.protocol import Reply, ReplyDecoder, checksum, encode_number
-from drivers.hokuyo_utm30lx.scans import (
-    NO_ECHO,
-    ScanRequest,
-    read_request,
-    read_scan,
-    write_scan,
-)
+from drivers.hokuyo_utm30lx.scans import NO_ECHO, ScanRequest, read_request, read_scan, write_scan
 from tests.drivers.utm30lx import random_scan
 
 KINDS = ("GD", "GS", "GE", "MD", "MS", "ME", "HD", "HE", "ND", "NE")
@@ -82,8 +76,7 @@ def test_damaged_scans_are_refused_with_a_reason(body, diagnostic):
 
 
 @pytest.mark.parametrize(
-    "text",
-    [b"&000111", b"00&0111", b"000111&", b"000&&111222", b"000&111&222&333444", b"&", b"000&11"],
+    "text", [b"&000111", b"00&0111", b"000111&", b"000&&111222", b"000&111&222&333444", b"&", b"000&11"]
 )
 def test_ampersands_in_wrong_places_are_refused(text):
     with pytest.raises(ProtocolError):

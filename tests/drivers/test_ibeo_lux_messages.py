@@ -11,12 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ProtocolError
-from drivers.ibeo_lux.messages import (
-    DeviceStatus,
-    ErrorRegisters,
-    read_scan,
-    write_scan,
-)
+from drivers.ibeo_lux.messages import DeviceStatus, ErrorRegisters, read_scan, write_scan
 from drivers.ibeo_lux.protocol import ntp_difference_ns
 
 REAL_SCAN = bytes.fromhex(

@@ -21,13 +21,7 @@ from tests.drivers.irobot_bench import (
     largest_step_m,
 )
 
-HARMLESS = {
-    Opcode.START,
-    Opcode.STREAM,
-    Opcode.PAUSE_RESUME_STREAM,
-    Opcode.QUERY_LIST,
-    Opcode.STOP,
-}
+HARMLESS = {Opcode.START, Opcode.STREAM, Opcode.PAUSE_RESUME_STREAM, Opcode.QUERY_LIST, Opcode.STOP}
 
 
 def test_robot_is_started_and_streams_within_a_fifth_of_a_second():

@@ -23,7 +23,7 @@ WATCH_S = 2.0
 LOSSES = {  # kind -> what the drivers call the loss; one of them has to grow
     "garbage": {"bytes_skipped", "replies_unreadable"},
     "bit_flips": {
-        *("bytes_skipped", "scans_malformed", "checksum_errors", "checksum_failures", "answers_refused"),
+        *("bytes_skipped", "scans_malformed", "checksum_errors", "checksum_failures", "answers_refused")
     },
     "half_messages": {"bytes_skipped", "scans_missed", "frames_missed", "answers_missed", "samples_missed"},
     "wrong_checksum": {"checksum_errors", "checksum_failures", "scans_malformed"},

@@ -10,17 +10,7 @@ from drivers.xsens_mtig.driver import MALFORMED_LIMIT
 from drivers.xsens_mtig.mtdata2 import Kind, join, write_item
 from drivers.xsens_mtig.protocol import MessageDecoder, Mid, encode
 from simulators.xsens_mtig import MtigSetup
-from tests.drivers.mtig import (
-    GOOD_PVT,
-    PLACE,
-    YAW_RAD,
-    Swing,
-    fixes,
-    legacy,
-    mtdata2,
-    samples,
-    talk,
-)
+from tests.drivers.mtig import GOOD_PVT, PLACE, YAW_RAD, Swing, fixes, legacy, mtdata2, samples, talk
 from tests.drivers.virtual_time import Talk
 
 FORMATS = ("float32", "fp12.20", "fp16.32", "float64")
@@ -33,8 +23,7 @@ def yaw_rad(quaternion):
 
 
 @pytest.mark.parametrize(
-    ("make", "number_format"),
-    [*((mtdata2, f) for f in FORMATS), *((legacy, f) for f in FORMATS[:3])],
+    ("make", "number_format"), [*((mtdata2, f) for f in FORMATS), *((legacy, f) for f in FORMATS[:3])]
 )
 def test_samples_are_in_si_units_forward_left_up_whatever_the_format(make, number_format):
     t = talk(make(baud=921_600), number_format=number_format, latency_ms=1.0).run(5.0)

@@ -6,15 +6,7 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import ProtocolError
-from drivers.xsens_mtig.mtdata import (
-    KNOWN_MODE,
-    Layout,
-    LegacyCodec,
-    LegacyData,
-    Mode,
-    RawGps,
-    Settings,
-)
+from drivers.xsens_mtig.mtdata import KNOWN_MODE, Layout, LegacyCodec, LegacyData, Mode, RawGps, Settings
 from drivers.xsens_mtig.mtdata2 import Utc
 from drivers.xsens_mtig.protocol import MessageDecoder, Mid
 

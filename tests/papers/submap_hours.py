@@ -16,16 +16,7 @@ from service.mapper.profiles import build_mapper, mapping_config
 from simulators.truth import LaserTruth, Ride
 from simulators.worlds.floor import floor
 from tests.papers.imle_halls import resident_mb
-from tests.simulated import (
-    FORWARD,
-    LMS100_50HZ,
-    Laser,
-    Wheels,
-    begun_beside,
-    odometry,
-    phase_m,
-    scans_at,
-)
+from tests.simulated import FORWARD, LMS100_50HZ, Laser, Wheels, begun_beside, odometry, phase_m, scans_at
 
 HOURS_S = 7200.0
 REPORTED_S = 600.0

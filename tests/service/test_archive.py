@@ -104,11 +104,7 @@ def web_server(folder: Path, sends_parts: bool) -> Iterator[str]:
 
 @pytest.mark.parametrize(("sends_parts", "code"), [(True, 0), (False, InputError.exit_code)])
 def test_a_recording_is_read_from_a_web_server_that_sends_parts_of_files(
-    sends_parts: bool,
-    code: int,
-    record_drive: RecordDrive,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
+    sends_parts: bool, code: int, record_drive: RecordDrive, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
     session = record_drive(scans=10)
     with web_server(session.parent, sends_parts) as address:

@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import Frame, ImuSample, OdometrySample
-from service.encoding import (
-    decode_frame,
-    encode_frame,
-    quick,
-    wire,
-)
+from service.encoding import decode_frame, encode_frame, quick, wire
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.outputs import NO_REASON, MapperOutput

@@ -9,14 +9,7 @@ import struct
 import numpy as np
 import pytest
 
-from drivers.ibeo_lux.messages import (
-    Command,
-    PointFlag,
-    ScanFlag,
-    read_reply,
-    read_scan,
-    write_parameter,
-)
+from drivers.ibeo_lux.messages import Command, PointFlag, ScanFlag, read_reply, read_scan, write_parameter
 from drivers.ibeo_lux.protocol import DataType, Decoder, Message, encode
 from service.geometry.se2 import SE2
 from simulators.ibeo_lux import FakeIbeoLux, LuxSetup

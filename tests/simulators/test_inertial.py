@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from simulators.inertial import (
-    MTI_G,
-    PERFECT_IMU,
-    Datum,
-    ImuMounting,
-    InertialTruth,
-)
+from simulators.inertial import MTI_G, PERFECT_IMU, Datum, ImuMounting, InertialTruth
 from simulators.trajectory import Follow, Pause, Spin, plan_drive
 from simulators.truth import Ride
 from simulators.world import Plan, World, make_world

@@ -2,12 +2,7 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.irobot_create.protocol import (
-    Mode,
-    Opcode,
-    decode_values,
-    encode_stream_request,
-)
+from drivers.irobot_create.protocol import Mode, Opcode, decode_values, encode_stream_request
 from simulators.irobot_create import FakeCreate
 
 S = 1_000_000_000

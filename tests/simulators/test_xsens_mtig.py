@@ -2,11 +2,7 @@
 
 import pytest
 
-from drivers.xsens_mtig.mtdata2 import (
-    read_output_configuration,
-    split,
-    write_output_configuration,
-)
+from drivers.xsens_mtig.mtdata2 import read_output_configuration, split, write_output_configuration
 from drivers.xsens_mtig.protocol import Message, MessageDecoder, Mid, encode
 from simulators.xsens_mtig import FakeMtiG
 from tests.drivers.mtig import ZERO_NS, legacy, mtdata2

@@ -76,13 +76,7 @@ def environment() -> dict[str, str]:
 def run(command: list[str], folder: Path) -> str:
     """stdout, of a process that knows nothing of the tree."""
     done = subprocess.run(
-        command,
-        cwd=folder,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
+        command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=TIMEOUT_S, check=False
     )
     assert done.returncode == 0, f"{command}: {done.stderr}"
     return done.stdout

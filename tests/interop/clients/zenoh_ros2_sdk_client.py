@@ -11,11 +11,7 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 from telling import expect, facts, tell
 from zenoh_ros2_sdk import ROS2Publisher, ROS2ServiceClient, ROS2Subscriber
-from zenoh_ros2_sdk.discovery import (
-    get_service_names_and_types,
-    get_topic_info,
-    get_topic_names_and_types,
-)
+from zenoh_ros2_sdk.discovery import get_service_names_and_types, get_topic_info, get_topic_names_and_types
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 from zenoh_ros2_sdk.utils import compute_service_type_hash, get_type_hash
 

@@ -11,14 +11,7 @@ import pytest
 
 from service import log_format
 from service.cli import console, main
-from service.errors import (
-    ConfigError,
-    CorridorError,
-    InputError,
-    OutputLostError,
-    StorageError,
-    UsageError,
-)
+from service.errors import ConfigError, CorridorError, InputError, OutputLostError, StorageError, UsageError
 from service.version import VERSION
 
 GOOD = """\
@@ -255,7 +248,7 @@ def test_each_phase_of_a_work_has_a_line_of_its_own():
     assert bars[1] == f"mapping [{'#' * 30}] 100%"
     assert bars[2:] == ["closing loops ...", ""]
     assert pipe.getvalue().splitlines() == [
-        *("compiling kernels: 50%", "mapping: 40%", "mapping: 100%", "closing loops ..."),
+        *("compiling kernels: 50%", "mapping: 40%", "mapping: 100%", "closing loops ...")
     ]
 
 

@@ -144,11 +144,7 @@ def test_a_cache_is_warm_until_sources_or_compiler_change(sources: Path, monkeyp
 
 
 def test_one_process_at_a_time_compiles_until_all_is_compiled(sources: Path):
-    with (
-        compiling_alone(),
-        (cache_folder() / "lock").open() as second,
-        pytest.raises(BlockingIOError),
-    ):
+    with compiling_alone(), (cache_folder() / "lock").open() as second, pytest.raises(BlockingIOError):
         fcntl.flock(second, fcntl.LOCK_EX | fcntl.LOCK_NB)
     mark_warm()
     (cache_folder() / "lock").unlink()

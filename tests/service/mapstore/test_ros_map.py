@@ -132,10 +132,7 @@ def test_a_right_angle_keeps_every_cell(tmp_path):
         (b"\x89PNG\r\n\x1a\n", "can be read"),
         (b"GIF89a", "no PGM, PNG or BMP"),
         (b"", "no PGM, PNG or BMP"),
-        (
-            b"P5 200000 200000 255 ",
-            "40000000000 bytes, at most 1073741824 are read; CORRIDOR_FILE_LIMITS=38",
-        ),
+        (b"P5 200000 200000 255 ", "40000000000 bytes, at most 1073741824 are read; CORRIDOR_FILE_LIMITS=38"),
     ],
 )
 def test_a_picture_that_cannot_be_read_is_refused_by_name(tmp_path, content, diagnostic):

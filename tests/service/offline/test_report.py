@@ -146,10 +146,7 @@ def test_an_older_result_says_what_it_does_not_hold(result: Path):
         ("[]", "expected a JSON object"),
         ("{", "summary.json"),
         ('{"scans": "many"}', "summary.json: scans: Input should be a valid integer"),
-        (
-            '{"sensors": {"front/scan": {"rate_hz": 1}}}',
-            r"summary.json: sensors.front/scan.frames: Field",
-        ),
+        ('{"sensors": {"front/scan": {"rate_hz": 1}}}', r"summary.json: sensors.front/scan.frames: Field"),
         ('{"duration_s": NaN}', "summary.json: duration_s"),
     ],
 )
@@ -168,8 +165,7 @@ def test_a_folder_of_no_replay_is_bad_input(tmp_path: Path, capfd: pytest.Captur
 
 
 def test_the_same_result_gives_the_same_bytes_also_at_the_end_of_a_replay(
-    record_drive: RecordDrive,
-    tmp_path: Path,
+    record_drive: RecordDrive, tmp_path: Path
 ):
     (summary,) = replay_all(
         [[record_drive()]], ReplayOptions(), [tmp_path / "out"], lambda *_: None, extras=["report"]

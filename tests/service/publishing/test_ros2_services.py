@@ -86,8 +86,7 @@ def save(session: zenoh.Session, map_url: str = "", image_format: str = "pgm", m
 
 
 @pytest.mark.parametrize(
-    ("name", "verb"),
-    [("pause", "pause"), ("resume", "resume"), ("save", "save_map"), ("reset", "reset_map")],
+    ("name", "verb"), [("pause", "pause"), ("resume", "resume"), ("save", "save_map"), ("reset", "reset_map")]
 )
 def test_a_trigger_is_a_command(session, requested, name, verb):
     response = answer(session, name, ros_services.TRIGGER)

@@ -142,8 +142,7 @@ def test_a_vehicle_publishes_below_its_own_name_alone(site, client_of, open_sess
 
 
 @pytest.mark.parametrize(
-    ("user", "password", "verbs"),
-    [("operator", "o1", ["pause"]), ("viewer", "v1", []), ("idle", "i1", [])],
+    ("user", "password", "verbs"), [("operator", "o1", ["pause"]), ("viewer", "v1", []), ("idle", "i1", [])]
 )
 def test_a_user_has_the_role_of_its_name(
     site, open_publisher, open_session, user, password, verbs, requested

@@ -100,8 +100,7 @@ class Foreign:
                 ros.std_msgs__msg__Header(ros.builtin_interfaces__msg__Time(0, 0), parent),
                 child,
                 ros.geometry_msgs__msg__Transform(
-                    ros.geometry_msgs__msg__Vector3(*xyz),
-                    ros.geometry_msgs__msg__Quaternion(x, y, z, w),
+                    ros.geometry_msgs__msg__Vector3(*xyz), ros.geometry_msgs__msg__Quaternion(x, y, z, w)
                 ),
             )
             for parent, child, xyz, (w, x, y, z) in edges

@@ -4,14 +4,7 @@ import pytest
 from drivers.errors import ProtocolError, TransportError
 from service.encoding import encode_frame
 from service.ros2_sensors.session import LARGEST_MESSAGE, MALFORMED_LIMIT, Ros2Session, pack
-from tests.service.ros2_sensors.nodes import (
-    PERIOD_NS,
-    START_NS,
-    hear,
-    node,
-    scan,
-    session,
-)
+from tests.service.ros2_sensors.nodes import PERIOD_NS, START_NS, hear, node, scan, session
 
 
 @pytest.mark.parametrize("size", [1, 3, 700, 100_000])

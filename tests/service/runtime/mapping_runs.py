@@ -6,10 +6,7 @@ from collections import Counter
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
-from service.encoding import (
-    LogClock,
-    Message,
-)
+from service.encoding import LogClock, Message
 from service.geometry.se2 import SE2
 from service.mapper.components import FinishedGraph, GraphUpdate
 from service.mapper.map_changes import MapChanges
@@ -19,9 +16,7 @@ from service.mapstore.tiles import TileStore
 from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, TileUpdate
 from service.runtime.host_time import HostTime
 from service.runtime.intake import Intake
-from service.runtime.mapper_messages import (
-    Answer,
-)
+from service.runtime.mapper_messages import Answer
 from service.runtime.mapping import PrepareMap, no_stored_maps
 from service.runtime.mapping_outputs import MappingOutputs
 from tests.service.runtime.inline_link import InlineLink

@@ -251,10 +251,7 @@ def test_reset_map_answers_when_the_map_before_is_on_disk(machine: Machine, tmp_
     [("reset_map", {}), ("load_map", {"map": "office"}), ("switch_profile", {"profile": "contour_lm"})],
 )
 def test_a_map_between_two_resets_that_no_tile_was_handed_over_of_is_saved_with_its_graph(
-    machine: Machine,
-    tmp_path: Path,
-    verb: str,
-    request_of: dict[str, str],
+    machine: Machine, tmp_path: Path, verb: str, request_of: dict[str, str]
 ):
     """Tiles are handed over some times a second: a map that ends before has a graph all the same."""
     save_map(tmp_path / "office", [tile(1)], 1, graph=graph_of(4))

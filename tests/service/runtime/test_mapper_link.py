@@ -161,9 +161,7 @@ def drive() -> Iterator[Drive]:
     drive.stop()
 
 
-def test_a_mapper_that_is_killed_again_and_again_gives_the_poses_of_one_that_is_not(
-    drive: Drive,
-):
+def test_a_mapper_that_is_killed_again_and_again_gives_the_poses_of_one_that_is_not(drive: Drive):
     undisturbed = Drive()
     undisturbed.has_wheels = drive.has_wheels = True
     try:

@@ -25,15 +25,7 @@ from service.mapper.mapping_session import ApplyResult, LeftOut, MappingSession
 from service.outputs import UNKNOWN, GraphPicture, Grid
 from service.runtime.mapper_messages import MAX_AGE_NS, Answer
 from service.runtime.mapping import MapperError, MappingLoop
-from tests.service.runtime.mapping_runs import (
-    FRAMES,
-    MS,
-    OFFSET_NS,
-    FakeMapper,
-    GraphAtWork,
-    Run,
-    scan,
-)
+from tests.service.runtime.mapping_runs import FRAMES, MS, OFFSET_NS, FakeMapper, GraphAtWork, Run, scan
 
 
 def test_the_mapper_eats_what_the_recording_holds():

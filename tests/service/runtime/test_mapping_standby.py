@@ -2,14 +2,7 @@
 
 from service.mapper.mapping_session import MappingSession
 from service.mapper.methods.shared import NoGraph
-from service.runtime.mapper_messages import (
-    Decisions,
-    Go,
-    Mapped,
-    PassedOver,
-    ResultApplied,
-    Tiles,
-)
+from service.runtime.mapper_messages import Decisions, Go, Mapped, PassedOver, ResultApplied, Tiles
 from service.runtime.mapping import MappingLoop
 from tests.service.runtime.mapping_runs import FRAMES, FakeMapper, GraphAtWork, Run, scan
 

@@ -21,10 +21,7 @@ from tests.in_background import started
 from tests.service.runtime.machine import Machine, events
 
 
-def test_the_map_before_is_saved_and_another_profile_begins_a_new_one(
-    machine: Machine,
-    tmp_path: Path,
-):
+def test_the_map_before_is_saved_and_another_profile_begins_a_new_one(machine: Machine, tmp_path: Path):
     machine.scan(3)
     facts = machine.ask("switch_profile", profile="imle")
     assert facts == {

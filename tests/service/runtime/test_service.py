@@ -292,9 +292,7 @@ def test_kernels_that_do_not_compile_stop_the_start(
 
 
 def test_a_start_that_compiles_says_that_it_goes_on_and_can_be_called_off(
-    open_service: Callable[..., Service],
-    strange: Callable[[str], None],
-    monkeypatch: pytest.MonkeyPatch,
+    open_service: Callable[..., Service], strange: Callable[[str], None], monkeypatch: pytest.MonkeyPatch
 ):
     strange("compiles for ever")
     monkeypatch.setattr(service_module, "WARM_UP_TELL_S", 0.0)

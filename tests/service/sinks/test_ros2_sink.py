@@ -9,15 +9,7 @@ import pytest
 import zenoh
 from rosbags.typesys.store import Typestore
 
-from service.encoding import (
-    OK,
-    WARNING,
-    Status,
-    encode_diagnostics,
-    encode_frame,
-    encode_pose,
-    encode_tf,
-)
+from service.encoding import OK, WARNING, Status, encode_diagnostics, encode_frame, encode_pose, encode_tf
 from service.mapstore.tiles import TileStore
 from service.publishing.config import PublishingConfig
 from service.publishing.session import open_session

@@ -4,14 +4,7 @@ import pytest
 
 from service.errors import InputError, StorageError
 from service.web import tokens
-from service.web.tokens import (
-    FREE_ATTEMPTS,
-    LONGEST_WAIT_S,
-    Attempts,
-    Tokens,
-    add_grant,
-    read_grants,
-)
+from service.web.tokens import FREE_ATTEMPTS, LONGEST_WAIT_S, Attempts, Tokens, add_grant, read_grants
 
 
 class Clock:

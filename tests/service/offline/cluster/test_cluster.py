@@ -109,9 +109,7 @@ def test_a_worker_with_other_sources_is_refused(record_drive: RecordDrive, tmp_p
 
 
 def test_a_fault_of_the_program_is_the_outcome_of_its_session(
-    record_drive: RecordDrive,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    record_drive: RecordDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr("service.offline.cluster.session_task.replay_to", lambda *_: 1 / 0)
     (done,) = run_all(new_tasks([[record_drive(scans=1)]], ReplayOptions(), [tmp_path / "out"]))
@@ -120,9 +118,7 @@ def test_a_fault_of_the_program_is_the_outcome_of_its_session(
 
 
 def test_the_command_tells_how_far_it_is_and_writes_one_table(
-    record_drive: RecordDrive,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
+    record_drive: RecordDrive, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
     bad = tmp_path / "in" / "bad.mcap"
     requested = ["replay", str(record_drive(scans=10).parent), "--out", str(tmp_path / "out"), "--jobs", "1"]
@@ -151,9 +147,7 @@ def test_another_kind_of_cluster_is_refused_by_a_sentence(cluster: str, capfd: p
 
 @pytest.mark.soak
 def test_slurm_starts_workers_by_dask_jobqueue_whose_results_are_the_same_bytes(
-    record_drive: RecordDrive,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    record_drive: RecordDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """An sbatch that runs the job here and at once."""
     sbatch, scancel = tmp_path / "bin" / "sbatch", tmp_path / "bin" / "scancel"

@@ -13,13 +13,7 @@ from drivers.irobot_create.protocol import encode_frame
 from drivers.sick_lms100.config import Lms100Config
 from drivers.sick_lms100.protocol import Dialect
 from drivers.transport import TcpTransport
-from service.offline.doctor.devices import (
-    Patience,
-    PortWire,
-    TcpWire,
-    examine_sensor,
-    wire_of,
-)
+from service.offline.doctor.devices import Patience, PortWire, TcpWire, examine_sensor, wire_of
 from service.offline.doctor.findings import Finding
 from service.offline.doctor.machine import Machine
 from simulators.sick_lms100 import FakeLms100

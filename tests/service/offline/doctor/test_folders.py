@@ -4,11 +4,7 @@ import pytest
 
 from service.config import ServiceConfig, parse_config
 from service.offline.doctor import folders
-from service.offline.doctor.folders import (
-    look_at_disk,
-    look_at_folders,
-    look_at_leftovers,
-)
+from service.offline.doctor.folders import look_at_disk, look_at_folders, look_at_leftovers
 from tests.service.offline.doctor.conftest import FakeTree
 
 

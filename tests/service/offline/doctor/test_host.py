@@ -48,11 +48,7 @@ def test_a_clock_that_starts_in_1970_is_a_fault(tree: FakeTree):
     ],
 )
 def test_rights_on_serial_ports_go_by_group(
-    tree: FakeTree,
-    monkeypatch: pytest.MonkeyPatch,
-    changes: dict[str, object],
-    severity: str,
-    words: str,
+    tree: FakeTree, monkeypatch: pytest.MonkeyPatch, changes: dict[str, object], severity: str, words: str
 ):
     monkeypatch.setattr(grp, "getgrnam", lambda name: GROUP)
     finding = look_at_rights(tree.machine(**changes))

@@ -198,10 +198,7 @@ def test_gzip_is_read_whatever_the_name(tmp_path):
             flaser("1.0", (0, 0, 0), ranges=[81.91] * 180) + flaser("2.0", (0, 0, 0), ranges=[0] * 180),
             "not one beam of 2 scans came back between 0 and 50 m",
         ),
-        (
-            "".join(flaser("1.13486e+09", (k, 0, 0)) for k in range(9)),
-            "9 scans carry 1 different times",
-        ),
+        ("".join(flaser("1.13486e+09", (k, 0, 0)) for k in range(9)), "9 scans carry 1 different times"),
     ],
     ids=["no log", "stamps that are no times", "no beam came back", "times that lost their digits"],
 )

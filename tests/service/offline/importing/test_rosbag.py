@@ -22,14 +22,7 @@ from service.offline.importing.carmen import import_carmen
 from service.offline.importing.rosbag import import_rosbag
 from service.recording.mcap_source import open_session
 from tests.service.recording.bags import OLD_TF, write_ros1, write_ros2
-from tests.service.recording.sessions import (
-    MOUNTINGS,
-    T0_NS,
-    drive,
-    pose_at,
-    ranges_in_room,
-    scan_message,
-)
+from tests.service.recording.sessions import MOUNTINGS, T0_NS, drive, pose_at, ranges_in_room, scan_message
 from tests.soaked import in_soak
 
 SCANS = 5

@@ -43,8 +43,7 @@ def test_what_a_replay_writes_is_the_same_to_the_bit_with_and_without_the_page(
 
 
 def test_the_page_shows_the_map_that_is_written_its_path_and_what_the_scans_saw(
-    record_drive: RecordDrive,
-    show: Callable[..., ReplayPage],
+    record_drive: RecordDrive, show: Callable[..., ReplayPage]
 ) -> None:
     page = show()
     done = replay([record_drive(scans=60)], ReplayOptions(), watch=page)
@@ -92,8 +91,7 @@ def cells_of(message: bytes) -> dict[tuple[int, int], bytes]:
 
 
 def test_a_replay_is_halted_sent_ahead_and_let_go_from_the_page(
-    record_drive: RecordDrive,
-    show: Callable[..., ReplayPage],
+    record_drive: RecordDrive, show: Callable[..., ReplayPage]
 ) -> None:
     """40 scans in 0.8 s of log time."""
     page = show(is_paused=True)

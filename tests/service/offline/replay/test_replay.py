@@ -10,13 +10,7 @@ from service.cli import main
 from service.encoding import encode_frame, encode_tf_static
 from service.errors import ConfigError, InputError
 from service.geometry.se2 import SE2
-from service.offline.replay.replay import (
-    ReplayOptions,
-    group_sessions,
-    replay,
-    result_folders,
-    write_replay,
-)
+from service.offline.replay.replay import ReplayOptions, group_sessions, replay, result_folders, write_replay
 from service.offline.score.trajectory import read_tum
 from tests.service.offline.recorded_drives import BEAMS, CONFIG, T0_NS, RecordDrive, odometry_at, room_scan
 from tests.service.recording.sessions import write_file

@@ -85,10 +85,7 @@ def test_what_is_laid_over_a_section_leaves_its_neighbours():
     ("options", "words"),
     [
         (["--localize"], "--localize is in a stored map; name it by --map"),
-        (
-            ["--profile", "submap_graph", "--map", "m"],
-            "profile submap_graph cannot begin in a stored map",
-        ),
+        (["--profile", "submap_graph", "--map", "m"], "profile submap_graph cannot begin in a stored map"),
     ],
 )
 def test_options_that_do_not_go_together_are_wrong_usage(

@@ -11,12 +11,7 @@ from cryptography import x509
 
 from service.config import parse_config
 from service.errors import InputError
-from service.offline.security.authority import (
-    Holder,
-    common_name,
-    init_site,
-    read_certificate,
-)
+from service.offline.security.authority import Holder, common_name, init_site, read_certificate
 from tests.docs.test_yaml import WHOLE
 
 VEH1 = Holder("veh1", "vehicle", ("veh1.local", "10.0.0.7"))
