@@ -62,7 +62,7 @@ def test_a_ring_is_closed_and_the_path_corrected():
 def test_memory_and_graph_grow_with_the_area_and_not_with_the_path(monkeypatch: pytest.MonkeyPatch):
     """The first pass and the newest ones stay, and the path of all scans is as good as that."""
     monkeypatch.setattr(old_passes, "MIN_REMOVED_AT_ONCE", 40)
-    frames, truth = key_frames(3.8)
+    frames, truth = key_frames(3.3)
     back_end = LoopBackEnd(LoopsConfig(keep_passes=1), None)
     results = [back_end.work(Batch(frames[k : k + BATCH])) for k in range(0, len(frames), BATCH)]
     keyframes, a_round = back_end.keyframes, ROUND
