@@ -27,6 +27,7 @@ from tests.accuracy.driving import WHEELS, Trip
 from tests.accuracy.recorded import FR079
 from tests.bench import start_up
 from tests.papers.report import Row, Section
+from tests.processes import resident_mb
 from tests.simulated import LMS100_50HZ, UTM30LX_40HZ, Drive, drive
 
 CORRIDOR = Path(sys.executable).with_name("corridor")  # as installed
@@ -93,7 +94,7 @@ def growing_map(seeds: Sequence[int]) -> Section:
             spent[lap].append(took_ms)
             if lap not in memory_mb:
                 mapper.changed_tiles()
-                memory_mb[lap] = _memory_mb()
+                memory_mb[lap] = resident_mb()
     early, late = (float(np.mean(np.concatenate(spent[lap : lap + 10]))) for lap in (1, LOOPS - 10))
     last = max(memory_mb)
     return Section(
@@ -141,7 +142,7 @@ def localised(seeds: Sequence[int]) -> Section:
                 spent_ms[0].append(spent)
                 spent_ms[1].append(beside)
         if young is None:
-            memory_mb.append(_memory_mb())
+            memory_mb.append(resident_mb())
     late, early = (float(np.mean(ms)) for ms in spent_ms)
     return Section(
         "Localised for hours",
@@ -216,10 +217,3 @@ def _block_of_mall() -> World:
     legs: list[Leg] = [Follow(BLOCK, corner_radius_m=1.5)]
     limits = Limits(speed_mps=3.0, acceleration_mps2=1.0, lateral_mps2=1.2)
     return replace(mall(), drive=plan_drive(SE2(), legs, limits, repeats=True))
-
-
-def _memory_mb() -> float:
-    """Resident, of this process."""
-    status = Path("/proc/self/status").read_text(encoding="ascii")
-    kilobytes = next(line.split()[1] for line in status.splitlines() if line.startswith("VmRSS:"))
-    return int(kilobytes) / 1024

@@ -24,6 +24,7 @@ from service.offline.cluster.engines import Cluster, Engine, Processes, in_turn
 from service.offline.cluster.session_task import DONE_FILE, new_tasks
 from service.offline.replay.replay import ReplayOptions
 from simulators.worlds import WORLDS
+from tests.processes import alive, command_of
 from tests.recorded_drive import record
 from tests.service.recording.sessions import T0_NS
 from tests.simulated import FORWARD, LMS100_50HZ, Wheels, drives
@@ -183,12 +184,8 @@ def _dask(folder: Path) -> Iterator[tuple[str, _Scheduler]]:
 
 def _a_worker() -> int:
     """Process id of a worker below one of the nannies: the child that multiprocessing spawned."""
-    for path in sorted(Path("/proc").glob("[0-9]*/cmdline")):
-        try:
-            command = path.read_bytes()
-            parent = Path(f"/proc/{path.parent.joinpath('stat').read_text().rpartition(')')[2].split()[1]}")
-            if b"spawn_main" in command and b"dask_worker" in (parent / "cmdline").read_bytes():
-                return int(path.parent.name)
-        except (FileNotFoundError, ProcessLookupError):
-            continue
-    raise AssertionError("no worker is there to be killed")
+    return next(
+        one.pid
+        for one in alive()
+        if "spawn_main" in command_of(one.pid) and "dask_worker" in command_of(one.parent)
+    )

@@ -4,7 +4,6 @@ router that is away, a stranger. 20 vehicles map recordings at real time; 100 st
 
 import json
 import math
-import os
 import subprocess
 import sys
 import threading
@@ -26,6 +25,7 @@ from service.offline.security.authority import Holder, init_site
 from service.publishing.config import PublishingConfig
 from simulators.worlds import WORLDS
 from tests.bench.fleet_vehicles import name_of, tls_of
+from tests.processes import look_at, resident_mb
 from tests.recorded_drive import record
 from tests.service.recording.sessions import T0_NS
 from tests.simulated import FORWARD, LMS100_50HZ, Wheels, drive
@@ -124,7 +124,7 @@ def _steady(session: zenoh.Session, router: subprocess.Popen[str], count: int) -
         ("uplink a vehicle, most", max(rates) / 1e3, "kB/s"),
         ("messages through the router", heard.total() / seconds, "1/s"),
         ("processor of the router", 100 * spent_s / seconds, "% of a core"),
-        ("memory of the router", _rss_mb(router.pid), "MB"),
+        ("memory of the router", resident_mb(router.pid), "MB"),
         ("mapping behind real time, most", max(_values(session, "mapping", "behind_s").values()), "s"),
     ]
 
@@ -228,10 +228,6 @@ def _vehicles(folder: Path, endpoint: str, count: int, recordings: Sequence[Path
 
 
 def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def _rss_mb(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    process = look_at(pid)
+    assert process is not None
+    return process.cpu_s

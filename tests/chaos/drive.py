@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -14,6 +14,7 @@ from unittest.mock import patch
 import yaml
 
 from service.demo import DemoOptions, demo_config, simulators
+from tests.processes import Process, alive, command_of
 from tests.system.machine import LiveService, free_port
 from tests.waiting import wait_until
 
@@ -117,28 +118,11 @@ class Drive:
         back_ends = [stat.pid for stat in ours if stat.niceness > lowest]  # the stand-by's is younger
         return {"mapper": mappers[:1], "stand-by": mappers[:0:-1], "back end": back_ends[:1]}[role]
 
-    def _of_the_mapper(self) -> list["_Stat"]:
+    def _of_the_mapper(self) -> list[Process]:
         """Oldest first."""
-        stats = list(_mapper_stats())
+        stats = [one for one in alive() if "service.runtime.mapper_process" in command_of(one.pid)]
         self._mappers |= {stat.session for stat in stats if stat.parent == self.service.pid}
         return sorted((stat for stat in stats if stat.session in self._mappers), key=lambda stat: stat.begun)
-
-
-class _Stat(NamedTuple):
-    pid: int
-    parent: int
-    session: int
-    niceness: int
-    begun: int
-
-
-def _mapper_stats() -> Iterator[_Stat]:
-    for path in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):
-            if b"service.runtime.mapper_process" in (path / "cmdline").read_bytes():
-                fields = (path / "stat").read_text().rpartition(")")[2].split()
-                if fields[0] != "Z":
-                    yield _Stat(int(path.name), *(int(fields[k]) for k in (1, 3, 16, 19)))
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from tests.chaos.drive import Drive
+from tests.processes import resident_mb
 from tests.system.machine import PATIENCE_S, Subscriber, free_port
 
 Act = Callable[[Drive], object]
@@ -158,7 +159,7 @@ def less_memory(share: float, seconds: float) -> Act:
         group: Path = drive.settings["group"]
         for process in drive.processes():
             (group / "cgroup.procs").write_text(str(process))
-        resident = sum(_resident_bytes(process) for process in drive.processes())
+        resident = 1e6 * sum(map(resident_mb, drive.processes()))
         limit = group / "memory.limit_in_bytes"
         with suppress(OSError):  # busy: it could not take as much away at once
             limit.write_text(str(round(share * resident)))
@@ -166,10 +167,6 @@ def less_memory(share: float, seconds: float) -> Act:
         limit.write_text("-1")
 
     return act
-
-
-def _resident_bytes(process: int) -> int:
-    return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 @contextmanager

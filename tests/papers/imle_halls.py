@@ -1,11 +1,9 @@
 """A child process: map a large hall, drive through it, time and memory as JSON. Arguments: SIZE SEED."""
 
 import json
-import os
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -21,17 +19,13 @@ from service.mapstore.patch_files import PatchFiles
 from simulators.truth import UTM30LX
 from simulators.world import World
 from simulators.worlds import build_world
+from tests.processes import resident_mb
 from tests.simulated import Laser, drive
 
 MODEL = replace(UTM30LX, range_max_m=20.0)
 LASER = Laser(MODEL, 541, 5.0, -135.0, 0.5, SE2())
 SECONDS = 48.0
 MAPPED_EVERY_M = 10.0
-
-
-def resident_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def known_scan(world: World, x_m: float, y_m: float) -> Points:

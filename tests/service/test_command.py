@@ -3,19 +3,20 @@
 import os
 import random
 import resource
-import select
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 import yaml
 
+from tests.processes import alive, look_at
 from tests.shared_data import NO_RECORDINGS, SHARED
 from tests.soaked import in_soak
+from tests.waiting import wait_until
 
 MAX_CPU_S = 2.0  # two processes may each end an import of 0.75 s; a kernel compiled to its end takes up to 3
 SPAN_S = 5.0  # imports, the first compiled kernels, the start of the process that helps
@@ -88,7 +89,7 @@ def test_a_signal_at_any_moment_ends_a_command_at_once(
     with pytest.raises(subprocess.TimeoutExpired):
         process.wait(at_s)
     family = descendants(process.pid)  # the mapper is in a session of its own
-    before_s = children_cpu_s() + sum(map(cpu_s, family))
+    before_s = children_cpu_s() + sum(family.values())
     if name == "SIGINT":
         os.killpg(process.pid, signal.SIGINT)  # a terminal tells the whole group
     else:
@@ -100,10 +101,8 @@ def test_a_signal_at_any_moment_ends_a_command_at_once(
     assert more_s < MAX_CPU_S, where
     assert b"Traceback" not in said, where
     assert b"Exception ignored" not in said, where
-    until(
-        lambda group=process.pid, pids=family: not alive_in(group) and not pids & parents().keys(),
-        f"the children to end; {where}",
-    )
+    wait_until(lambda: not alive_in(process.pid), PATIENCE_S, f"they have not ended; {where}")
+    wait_until(lambda: not any(map(look_at, family)), PATIENCE_S, f"the children have not ended; {where}")
 
 
 @pytest.mark.parametrize("command", ["calibrate", "map"])
@@ -125,15 +124,13 @@ def test_what_an_interrupted_warm_up_has_compiled_is_used_by_the_next(
     tmp_path: Path, begin: Callable[[str], subprocess.Popen[bytes]]
 ):
     process = begin("warmup")
-    until(lambda: len(list((tmp_path / "cache").rglob("*.nbc"))) > 0, "the first kernel")
+    kernels = partial((tmp_path / "cache").rglob, "*.nbc")
+    wait_until(lambda: any(kernels()), PATIENCE_S, "no kernel came")
     os.killpg(process.pid, signal.SIGINT)
     assert process.wait(PATIENCE_S) == 130
-    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "cache").rglob("*.nbc")}
+    kept = {path: path.stat().st_mtime_ns for path in kernels()}
     begin("warmup")
-    until(
-        lambda: len(list((tmp_path / "cache").rglob("*.nbc"))) > len(kept),
-        "kernels beyond those that were there",
-    )
+    wait_until(lambda: len(list(kernels())) > len(kept), PATIENCE_S, "no kernel came beyond those")
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
 
 
@@ -143,16 +140,7 @@ def wait_until_it_takes_signals(pid: int) -> None:
         caught = int(next(line for line in status.splitlines() if line.startswith("SigCgt")).split()[1], 16)
         return bool(caught >> (signal.SIGTERM - 1) & 1)
 
-    until(takes, "a handler of signals")
-
-
-def cpu_s(pid: int) -> float:
-    """Processor time of a process so far, and of its children that have ended; 0 where it has just ended."""
-    try:
-        ticks = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:15]
-    except (FileNotFoundError, ProcessLookupError):
-        return 0.0
-    return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+    wait_until(takes, PATIENCE_S, "there is no handler of signals")
 
 
 def children_cpu_s() -> float:
@@ -161,36 +149,14 @@ def children_cpu_s() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def until(what: Callable[[], bool], expected: str) -> None:
-    """The kernel tells no one of such things, so they are asked for."""
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not what():
-        assert time.monotonic() < deadline_s, f"waited {PATIENCE_S:.0f} s for {expected}"
-        select.select([], [], [], 0.005)
-
-
 def alive_in(group: int) -> list[int]:
     """Processes of a group that have not ended."""
-    return [pid for pid, (_, its_group) in parents().items() if its_group == group]
+    return [one.pid for one in alive() if one.group == group]
 
 
-def descendants(pid: int) -> set[int]:
-    """A process, its children, their children and so on, as far as they have not ended."""
-    found, more = set(), {pid}
-    while more:
-        found |= more
-        more = {child for child, (parent, _) in parents().items() if parent in found} - found
-    return found
-
-
-def parents() -> dict[int, tuple[int, int]]:
-    """Parent and group of each process that has not ended."""
-    found = {}
-    for name in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            state, parent, group = Path(f"/proc/{name}/stat").read_text().rpartition(")")[2].split()[:3]
-        except (FileNotFoundError, ProcessLookupError):
-            continue
-        if state != "Z":
-            found[int(name)] = int(parent), int(group)
-    return found
+def descendants(pid: int) -> dict[int, float]:
+    """Processor time of a process, its children, their children and so on, as far as they have not ended."""
+    there, family = {one.pid: one for one in alive()}, {pid}
+    while more := {one.pid for one in there.values() if one.parent in family} - family:
+        family |= more
+    return {one: there[one].cpu_s for one in family & there.keys()}

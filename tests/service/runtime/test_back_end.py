@@ -3,7 +3,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +11,8 @@ import pytest
 from service.mapper.background import BackEndDiedError, WorkLostError
 from service.runtime import back_end
 from service.runtime.back_end import BackEndProcess, ProcessJob, ProcessWorker
+from tests.processes import is_there
+from tests.waiting import wait_until
 
 
 class Adder:
@@ -130,7 +131,7 @@ def test_waiting_has_an_end(caplog: pytest.LogCaptureFixture):
         assert "within 0.0 s; what it found last is lost" in caplog.text
     finally:
         process.stop()
-    assert process.pid is None or not _is_there(process.pid)
+    wait_until(lambda: process.pid is None or not is_there(process.pid))
 
 
 def test_the_copy_of_a_back_end_knows_all_up_to_the_copy_and_nothing_after(
@@ -156,7 +157,7 @@ def test_the_copy_of_a_back_end_knows_all_up_to_the_copy_and_nothing_after(
         assert (total, pid != process.pid) == (1011, True)
     finally:
         copy.stop()
-    assert not _is_there(pid)
+    wait_until(lambda: not is_there(pid))
 
 
 def test_a_copy_comes_though_its_mapper_died_while_the_back_end_was_at_work(
@@ -196,16 +197,6 @@ def test_a_copy_that_does_not_come_costs_the_loops_and_nothing_else(
     copy.need()
     with pytest.raises(WorkLostError, match="of the stand-by did not come"):
         ProcessWorker(copy).submit(1).result()
-
-
-def _is_there(pid: int) -> bool:
-    deadline_s = time.monotonic() + 30.0
-    while time.monotonic() < deadline_s:
-        try:
-            os.kill(pid, 0)
-        except ProcessLookupError:
-            return False
-    return True
 
 
 ARRAYS_BETWEEN_SMALL_BLOCKS = """

@@ -6,7 +6,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,7 @@ from service.runtime.mapper_messages import (
     Tiles,
     TilesItem,
 )
+from tests.processes import alive, is_there, look_at
 from tests.service.runtime.mappers import FATAL_RANGE_M
 
 pytestmark = pytest.mark.usefixtures("forked_mappers")
@@ -216,16 +216,11 @@ def has_back_end_for_standby(drive: Drive) -> bool:
 
 def all_back_ends_of(mapper: int) -> dict[int, int]:
     """Process -> its parent. Back ends give way to the mapper."""
-    session, niceness = os.getsid(mapper), os.getpriority(os.PRIO_PROCESS, mapper)
-    parents: dict[int, int] = {}
-    for entry in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):
-            pid = int(entry.name)
-            state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
-            is_back_end = os.getpriority(os.PRIO_PROCESS, pid) > niceness
-            if is_back_end and state != "Z" and os.getsid(pid) == session:
-                parents[pid] = int(parent)
-    return parents
+    its = look_at(mapper)
+    assert its is not None
+    return {
+        one.pid: one.parent for one in alive() if one.session == its.session and one.niceness > its.niceness
+    }
 
 
 def test_a_back_end_that_dies_is_replaced_with_all_that_it_knew_until_it_dies_again_and_again(
@@ -427,13 +422,5 @@ def test_everything_ends_with_the_link(drive: Drive):
     assert drive.link.finish(TIMEOUT_S)
     drive.stop()
     for pid in pids:
-        drive.until(lambda pid=pid: not _is_there(pid))
+        drive.until(lambda pid=pid: not is_there(pid))
     assert not folder.exists()
-
-
-def _is_there(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
