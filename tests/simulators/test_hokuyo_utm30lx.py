@@ -15,6 +15,7 @@ from drivers.hokuyo_utm30lx.scans import read_scan
 from simulators.hokuyo_setup import Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
 from tests.drivers.utm30lx import Room
+from tests.drivers.virtual_time import said_until
 
 USB, ETHERNET = Utm30lxSetup(), Utm30lxSetup(wire="ethernet", serial_number="H0123456")
 START_NS = 5_000 * 10**9
@@ -36,12 +37,8 @@ class Bench:
 
     def let(self, ms):
         """Let time pass; returns every message that left, with its time."""
-        end_ns, out = self.now_ns + round(ms * MS), []
-        while (due_ns := self.device.next_due_ns(self.now_ns)) is not None and due_ns <= end_ns:
-            self.now_ns = max(self.now_ns, due_ns)
-            out.append((self.now_ns, self.device.due(self.now_ns)))
-        self.now_ns = end_ns
-        return out
+        begin_ns, self.now_ns = self.now_ns, self.now_ns + round(ms * MS)
+        return list(said_until(self.device, begin_ns, self.now_ns))
 
 
 def status(reply):

@@ -17,6 +17,7 @@ from simulators.trajectory import Follow, plan_drive
 from simulators.truth import IBEO_LUX, LaserTruth, Ride
 from simulators.world import Plan, make_world
 from tests.drivers.lux import Room
+from tests.drivers.virtual_time import said_until
 
 SECOND_NS = 1_000_000_000
 START_NS = 500 * SECOND_NS
@@ -43,12 +44,9 @@ class Client:
 
     def listen(self, seconds):
         """Messages with their times."""
-        end_ns, heard = self.now_ns + round(seconds * SECOND_NS), []
-        while (due_ns := self.device.next_due_ns(self.now_ns)) is not None and due_ns <= end_ns:
-            self.now_ns = max(self.now_ns, due_ns)
-            heard += [(self.now_ns, m) for m in self.decoder.receive_data(self.device.due(self.now_ns))]
-        self.now_ns = end_ns
-        return heard
+        begin_ns, self.now_ns = self.now_ns, self.now_ns + round(seconds * SECOND_NS)
+        said = said_until(self.device, begin_ns, self.now_ns)
+        return [(at_ns, message) for at_ns, data in said for message in self.decoder.receive_data(data)]
 
     def scans(self, seconds):
         return [

@@ -1,40 +1,11 @@
-from collections.abc import Callable
-
-import pytest
-
 from drivers.irobot_create.protocol import Mode, Opcode, decode_values, encode_stream_request
 from simulators.irobot_create import FakeCreate
-
-S = 1_000_000_000
-
-
-class Rolling:
-    """WheelSource of constant speeds, m/s."""
-
-    def __init__(self, left_mps: float, right_mps: float) -> None:
-        self.speeds = (left_mps, right_mps)
-
-    def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
-        return self.speeds[0] * now_ns / S, self.speeds[1] * now_ns / S
+from tests.drivers.irobot_bench import STANDING, S
 
 
-STANDING = Rolling(0.0, 0.0)
-
-
-@pytest.fixture
-def started() -> Callable[..., FakeCreate]:
-    def start(wheels: Rolling = STANDING, *args: object, **settings: object) -> FakeCreate:
-        robot = FakeCreate(wheels, *args, **settings)  # type: ignore[arg-type]
-        robot.receive_data(bytes([128]), 0)
-        return robot
-
-    return start
-
-
-def test_it_sleeps_after_five_minutes_of_passive_and_only_the_wake_line_helps(
-    started: Callable[..., FakeCreate],
-):
-    robot = started()
+def test_it_sleeps_after_five_minutes_of_passive_and_only_the_wake_line_helps():
+    robot = FakeCreate(STANDING)
+    robot.receive_data(bytes([128]), 0)
     robot.receive_data(encode_stream_request([35]), 0)
     robot.due(299 * S)
     assert robot.next_due_ns(299 * S) is not None
@@ -45,7 +16,7 @@ def test_it_sleeps_after_five_minutes_of_passive_and_only_the_wake_line_helps(
     assert robot.receive_data(bytes([128, 142, 35]), 303 * S) == b"\x01"
 
 
-def test_pycreate2_dialogue(started: Callable[..., FakeCreate]):
+def test_pycreate2_dialogue():
     """What pycreate2 0.8 sends: start, safe, four songs cleared, group 100, drive direct, and its close."""
     robot = FakeCreate(STANDING)
     assert robot.receive_data(bytes([131, 142, 100, 148, 1, 7]), 0) == b""  # deaf until Start

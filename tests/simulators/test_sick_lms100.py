@@ -14,6 +14,7 @@ from drivers.sick_lms100.telegrams import read_scan
 from simulators.sick_lms100 import FakeLms100
 from simulators.sick_setup import Lms100Setup
 from tests.drivers.lms100 import Room
+from tests.drivers.virtual_time import said_until
 
 ASCII, BINARY = Dialect.ASCII, Dialect.BINARY
 START_NS = 5_000 * 10**9
@@ -36,13 +37,8 @@ class Bench:
 
     def let(self, ms):
         """Let time pass; returns every message that left, with its time."""
-        end_ns, out = self.now_ns + round(ms * MS), []
-        while (due_ns := self.device.next_due_ns(self.now_ns)) is not None and due_ns <= end_ns:
-            self.now_ns = max(self.now_ns, due_ns)
-            if message := self.device.due(self.now_ns):
-                out.append((self.now_ns, message))
-        self.now_ns = end_ns
-        return out
+        begin_ns, self.now_ns = self.now_ns, self.now_ns + round(ms * MS)
+        return [one for one in said_until(self.device, begin_ns, self.now_ns) if one[1]]
 
 
 def dialogue(path):

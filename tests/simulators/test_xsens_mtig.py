@@ -6,7 +6,7 @@ from drivers.xsens_mtig.mtdata2 import read_output_configuration, split, write_o
 from drivers.xsens_mtig.protocol import Message, MessageDecoder, Mid, encode
 from simulators.xsens_mtig import FakeMtiG
 from tests.drivers.mtig import ZERO_NS, legacy, mtdata2
-from tests.drivers.virtual_time import SECOND_NS
+from tests.drivers.virtual_time import SECOND_NS, said_until
 
 BOTH = pytest.mark.parametrize("make", [mtdata2, legacy])
 
@@ -17,18 +17,16 @@ class Host:
     def __init__(self, unit: FakeMtiG) -> None:
         self.unit = unit
         self.now_ns = ZERO_NS
-        self.heard: list[tuple[int, Message]] = []
+        self.heard: list[Message] = []
         self._decoder = MessageDecoder()
         unit.connected(self.now_ns)
 
     def wait(self, seconds: float) -> list[Message]:
-        end_ns, count = self.now_ns + round(seconds * SECOND_NS), len(self.heard)
-        while (due_ns := self.unit.next_due_ns(self.now_ns)) is not None and due_ns <= end_ns:
-            self.now_ns = max(self.now_ns, due_ns)
-            for message in self._decoder.receive_data(self.unit.due(self.now_ns)):
-                self.heard.append((self.now_ns, message))
-        self.now_ns = end_ns
-        return [message for _, message in self.heard[count:]]
+        begin_ns, self.now_ns = self.now_ns, self.now_ns + round(seconds * SECOND_NS)
+        said = said_until(self.unit, begin_ns, self.now_ns)
+        messages = [message for _, data in said for message in self._decoder.receive_data(data)]
+        self.heard += messages
+        return messages
 
     def ask(self, mid: int, data: str = "", bus_id: int = 0xFF) -> Message:
         """The first message back that is no data."""
@@ -143,6 +141,6 @@ def test_more_than_the_line_carries_overflows_and_says_so():
     unit = legacy(baud=9_600)
     host = Host(unit)
     host.wait(5.0)
-    assert refused(0x1E) in [m for _, m in host.heard]
+    assert refused(0x1E) in host.heard
     assert unit.counters["messages_overflowed"] > 100
     assert len(host.heard) * 59 * 10 <= 5.2 * 9_600
