@@ -8,12 +8,13 @@ import numpy as np
 
 from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2
-from service.offline.replay.replay import Replay, ReplayOptions, replay, write_replay
-from service.offline.score.score import RelationErrors, RelationsScore, score
+from service.offline.replay.replay import Replay
+from service.offline.score.score import RelationErrors
 from service.offline.score.trajectory import read_tum, write_tum
 from tests.accuracy.between_scans import with_odometry
 from tests.accuracy.pair_fit import pair_fit
 from tests.accuracy.recorded import WithoutOdometry, rewrite
+from tests.accuracy.scored import against_relations, against_truth, lost_percent, mapped
 from tests.papers.report import Row, Section
 from tests.recorded_drive import frames_of
 from tests.shared_data import SHARED
@@ -93,29 +94,23 @@ def error_mm(name: str, trajectory: Path) -> float:
     recording = recording_of(name)
     for of, relations, shift_s, *_ in DATASETS:
         if of == name:
-            report = score(trajectory, recording.with_name(f"{relations}.relations"), shift_s=shift_s)
-            assert isinstance(report, RelationsScore)
-            return 1e3 * report.errors[0].translation_m.mean
-    of_truth = score(trajectory, recording.with_suffix(".tum"))
-    assert not isinstance(of_truth, RelationsScore)
-    return 1e3 * of_truth.ate_aligned_m.rms
+            error = against_relations(trajectory, recording.with_name(f"{relations}.relations"), shift_s)
+            return 1e3 * error.translation_m.mean
+    return 1e3 * against_truth(trajectory, recording.with_suffix(".tum")).ate_aligned_m.rms
 
 
 def _world(name: str, bound_m: float | None, out: Path) -> list[Row]:
     truth = SHARED / "worlds" / name / f"{name}.tum"
     done = mapped(SHARED / "worlds" / name / f"{name}.mcap", out)
-    finished, live = score(out / "trajectory.tum", truth), score(out / "trajectory_live.tum", truth)
-    assert not isinstance(finished, RelationsScore)
-    assert not isinstance(live, RelationsScore)
+    finished, live = (against_truth(out / name, truth) for name in ("trajectory.tum", "trajectory_live.tum"))
     off, nees = off_and_nees(done, truth)
-    states = [output.state for output in done.outputs]
     return [
         Row(f"{name}: ATE after the finish", [finished.ate_aligned_m.rms], "m", at_most=bound_m, digits=4),
         Row(f"{name}: ATE live", [live.ate_aligned_m.rms], "m", digits=4),
         Row(f"{name}: closure", [finished.closure_m], "m", digits=4),
         Row(f"{name}: NEES, mean", [nees], "of 3", digits=2),
         wrong_row(name, done, off),
-        Row(f"{name}: scans lost", [100.0 * states.count("lost") / len(states)], "%"),
+        Row(f"{name}: scans lost", [lost_percent(done)], "%"),
     ]
 
 
@@ -131,12 +126,9 @@ def _dataset(
 ) -> list[Row]:
     folder = SHARED / "datasets" / name
     done = mapped(folder / f"{name}.mcap", out)
-    states = [output.state for output in done.outputs]
-    rows = [Row(f"{name}: scans lost", [100.0 * states.count("lost") / len(states)], "%")]
+    rows = [Row(f"{name}: scans lost", [lost_percent(done)], "%")]
     if relations:
-        report = score(out / "trajectory.tum", folder / f"{relations}.relations", shift_s=shift_s)
-        assert isinstance(report, RelationsScore)
-        error = report.errors[0]
+        error = against_relations(out / "trajectory.tum", folder / f"{relations}.relations", shift_s)
         rows += [
             Row(
                 f"{name}: {relations}",
@@ -149,9 +141,7 @@ def _dataset(
             Row(f"{name}: {relations}", [error.rotation_deg.mean], "deg", at_most=bounds[1]),
         ]
     if relations.startswith("derived"):  # a wall drawn twice shows between drives past it, not in one drive
-        report = score(out / "trajectory.tum", folder / f"{NEARBY}.relations", shift_s=shift_s)
-        assert isinstance(report, RelationsScore)
-        error = report.errors[0]
+        error = against_relations(out / "trajectory.tum", folder / f"{NEARBY}.relations", shift_s)
         rows += [
             Row(f"{name}: {NEARBY}", [error.translation_m.mean], "m", digits=4),
             Row(f"{name}: {NEARBY}", [error.rotation_deg.mean], "deg"),
@@ -182,12 +172,11 @@ def _without_odometry(name: str, bound_m: float, folder: Path) -> list[Row]:
     """A recording with official relations as it is, but for its odometry."""
     spoilt, out = folder / "spoilt.mcap", folder / f"{name}_without_odometry"
     rewrite(recording_of(name), spoilt, WithoutOdometry())
-    states = [output.state for output in mapped(spoilt, out).outputs]
-    report = score(out / "trajectory.tum", recording_of(name).with_name("official.relations"))
-    assert isinstance(report, RelationsScore)
-    what, error = f"{name} without odometry", report.errors[0]
+    done = mapped(spoilt, out)
+    error = against_relations(out / "trajectory.tum", recording_of(name).with_name("official.relations"))
+    what = f"{name} without odometry"
     return [
-        Row(f"{what}: scans lost", [100.0 * states.count("lost") / len(states)], "%"),
+        Row(f"{what}: scans lost", [lost_percent(done)], "%"),
         Row(f"{what}: official", [error.translation_m.mean], "m", at_most=bound_m, digits=4),
         Row(f"{what}: official", [error.rotation_deg.mean], "deg"),
     ]
@@ -198,15 +187,7 @@ def _scored_between_scans(recording: Path, relations: Path, out: Path) -> Relati
     dense = with_odometry(read_tum(out / "trajectory.tum"), samples)
     poses = [SE2(*pose) for pose in dense.pose.tolist()]
     write_tum(out / "between_scans.tum", zip(dense.stamp_ns.tolist(), poses, strict=True))
-    report = score(out / "between_scans.tum", relations)
-    assert isinstance(report, RelationsScore)
-    return report.errors[0]
-
-
-def mapped(recording: Path, out: Path) -> Replay:
-    done = replay([recording], ReplayOptions())
-    write_replay(done, out)
-    return done
+    return against_relations(out / "between_scans.tum", relations)
 
 
 def off_and_nees(done: Replay, truth: Path) -> tuple[np.ndarray, float]:

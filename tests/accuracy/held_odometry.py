@@ -7,9 +7,9 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 from service.encoding import ODOMETRY
-from service.offline.score.score import RelationsScore, score
-from tests.accuracy.given import mapped, off_and_nees, recording_of, wrong_row
+from tests.accuracy.given import off_and_nees, recording_of, wrong_row
 from tests.accuracy.recorded import rewrite
+from tests.accuracy.scored import against_truth, lost_percent, mapped
 from tests.papers.report import Row, Section
 
 RECORDINGS = ("corridor100d_s1", "ring_s3", "fgi_s1", "tshape_s2", "office300_s1")
@@ -64,12 +64,10 @@ def _samples(recording: Path) -> int:
 
 def _rows(what: str, recording: Path, truth: Path, out: Path) -> list[Row]:
     done = mapped(recording, out)
-    finished = score(out / "trajectory.tum", truth)
-    assert not isinstance(finished, RelationsScore)
-    states = [output.state for output in done.outputs]
+    finished = against_truth(out / "trajectory.tum", truth)
     off_m, _ = off_and_nees(done, truth)
     return [
         Row(f"{what}: ATE", [1e3 * finished.ate_aligned_m.rms], "mm"),
-        Row(f"{what}: scans lost", [100.0 * states.count("lost") / len(states)], "%"),
+        Row(f"{what}: scans lost", [lost_percent(done)], "%"),
         wrong_row(what, done, off_m),
     ]

@@ -14,9 +14,9 @@ from drivers.frames import OdometrySample
 from service.encoding import LASER_SCAN, ODOMETRY, decode_frame, encode_frame
 from service.geometry.poses import between, compose
 from service.geometry.se2 import SE2
-from service.offline.replay.replay import ReplayOptions, replay, write_replay
-from service.offline.score.score import NEAR_NS, RelationsScore, read_relations, score
+from service.offline.score.score import NEAR_NS, read_relations
 from service.offline.score.trajectory import read_tum
+from tests.accuracy.scored import against_relations, mapped
 from tests.papers.report import Row, Section
 from tests.shared_data import SHARED
 
@@ -31,7 +31,8 @@ def recorded(seeds: Sequence[int]) -> Section:  # one recording, no noise: seeds
     if not RELATIONS.exists():
         return Section("Freiburg 079", f"Left out: {RELATIONS} is not there; set CORRIDOR_SHARED.")
     with tempfile.TemporaryDirectory() as folder:
-        plain = _mapped(FR079 / "fr079.mcap", Path(folder) / "plain")
+        plain = Path(folder) / "plain"
+        mapped(FR079 / "fr079.mcap", plain)
         rows = [
             *_rows("raw, interpolated", plain / FINISHED, False, 0.0, 0.045, 0.80),
             *_rows("raw, interpolated, live", plain / LIVE, False, 0.0, None, None),
@@ -44,9 +45,9 @@ def recorded(seeds: Sequence[int]) -> Section:  # one recording, no noise: seeds
             ("odometry times 1.2", ScaledOdometry()),
             ("every second scan dropped", EverySecondScan()),
         ):
-            spoilt = Path(folder) / "spoilt.mcap"
+            spoilt, done = Path(folder) / "spoilt.mcap", Path(folder) / what.replace(" ", "_")
             rewrite(FR079 / "fr079.mcap", spoilt, spoil)
-            done = _mapped(spoilt, Path(folder) / what.replace(" ", "_"))
+            mapped(spoilt, done)
             rows += _rows(what, done / FINISHED, False, 0.0, 1.5 * reference[0], 1.5 * reference[1])
     return Section(
         "Freiburg 079",
@@ -113,11 +114,6 @@ def rewrite(source: Path, target: Path, spoil: Callable[[str, bytes], bytes | No
         writer.finish()
 
 
-def _mapped(recording: Path, out: Path) -> Path:
-    write_replay(replay([recording], ReplayOptions()), out)
-    return out
-
-
 def _errors(estimate: Path, near: bool, offset_x_m: float) -> tuple[float, float]:
     """Mean error, m and deg, in Kuemmerle's order.
 
@@ -125,9 +121,8 @@ def _errors(estimate: Path, near: bool, offset_x_m: float) -> tuple[float, float
     stamps of the relations jitter against the recording. Else poses are interpolated at the stamps.
     """
     if not near:
-        report = score(estimate, RELATIONS, offset_x_m=offset_x_m)
-        assert isinstance(report, RelationsScore)
-        return report.errors[0].translation_m.mean, report.errors[0].rotation_deg.mean
+        error = against_relations(estimate, RELATIONS, offset_x_m=offset_x_m)
+        return error.translation_m.mean, error.rotation_deg.mean
     path = read_tum(estimate)
     pose = compose(path.pose, np.array([offset_x_m, 0.0, 0.0]))
     from_ns, to_ns, expected = read_relations(RELATIONS)

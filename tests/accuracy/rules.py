@@ -17,10 +17,10 @@ from service.mapper.components import Points
 from service.mapper.filters.deskew import DeskewByTwist
 from service.mapper.scan_match.narrow_walls import Matrix, NarrowWalls
 from service.mapper.scan_match.submaps import Submap
-from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Errors, Trip
 from tests.accuracy.given import error_mm, recording_of
+from tests.accuracy.scored import mapped
 from tests.accuracy.sensors import LMS100_10HZ, MIRRORS, WRONG
 from tests.papers.report import Section
 from tests.shared_data import SHARED
@@ -143,7 +143,7 @@ class Rule:
 
     def recording_mm(self, name: str) -> str:
         with tempfile.TemporaryDirectory() as out, self._switched:
-            write_replay(replay([recording_of(name)], ReplayOptions()), Path(out))
+            mapped(recording_of(name), Path(out))
             return f"{error_mm(name, Path(out) / 'trajectory.tum'):.1f}"
 
 
