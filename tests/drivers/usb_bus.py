@@ -2,7 +2,8 @@
 
 import errno
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import usb.backend
@@ -14,20 +15,6 @@ from tests.drivers.mtig import ZERO_NS
 
 IN, OUT, CONTROL = 0x83, 0x02, 0x81
 PACKET = 64
-
-
-@dataclass
-class _Descriptor:
-    """Fields of a descriptor; pyusb reads them as attributes."""
-
-    values: dict[str, Any]
-    extra_descriptors: list[int] = field(default_factory=list)
-
-    def __getattr__(self, name: str) -> Any:
-        try:
-            return self.values[name]
-        except KeyError:
-            raise AttributeError(name) from None
 
 
 @dataclass(eq=False)
@@ -58,86 +45,44 @@ class FakeBus(usb.backend.IBackend):  # type: ignore[misc]
     def enumerate_devices(self) -> Iterator[Unit]:
         return iter([unit for unit in self.units if unit.plugged])
 
-    def get_device_descriptor(self, dev: Unit) -> _Descriptor:
-        return _Descriptor(
-            {
-                "bLength": 18,
-                "bDescriptorType": 1,
-                "bcdUSB": 0x200,
-                "bDeviceClass": 0xEF,
-                "bDeviceSubClass": 0,
-                "bDeviceProtocol": 0,
-                "bMaxPacketSize0": 64,
-                "idVendor": dev.vendor,
-                "idProduct": dev.product,
-                "bcdDevice": 0x100,
-                "iManufacturer": 1,
-                "iProduct": 2,
-                "iSerialNumber": 3,
-                "bNumConfigurations": 1,
-                "address": 5,
-                "bus": 1,
-                "port_number": 1,
-                "port_numbers": (1,),
-                "speed": 2,
-            }
-        )
+    def get_device_descriptor(self, dev: Unit) -> SimpleNamespace:
+        return SimpleNamespace(
+            bLength=18, bDescriptorType=1, bcdUSB=0x200, bDeviceClass=0xEF, bDeviceSubClass=0,
+            bDeviceProtocol=0, bMaxPacketSize0=64, idVendor=dev.vendor, idProduct=dev.product,
+            bcdDevice=0x100, iManufacturer=1, iProduct=2, iSerialNumber=3, bNumConfigurations=1, address=5,
+            bus=1, port_number=1, port_numbers=(1,), speed=2, extra_descriptors=[],
+        )  # fmt: skip
 
-    def get_configuration_descriptor(self, dev: Unit, config: int) -> _Descriptor:
+    def get_configuration_descriptor(self, dev: Unit, config: int) -> SimpleNamespace:
         if config:
             raise IndexError(config)
-        return _Descriptor(
-            {
-                "bLength": 9,
-                "bDescriptorType": 2,
-                "wTotalLength": 64,
-                "bNumInterfaces": 2,
-                "bConfigurationValue": 1,
-                "iConfiguration": 0,
-                "bmAttributes": 0x80,
-                "bMaxPower": 250,
-            }
-        )
+        return SimpleNamespace(
+            bLength=9, bDescriptorType=2, wTotalLength=64, bNumInterfaces=2, bConfigurationValue=1,
+            iConfiguration=0, bmAttributes=0x80, bMaxPower=250, extra_descriptors=[],
+        )  # fmt: skip
 
-    def get_interface_descriptor(self, dev: Unit, intf: int, alt: int, config: int) -> _Descriptor:
+    def get_interface_descriptor(self, dev: Unit, intf: int, alt: int, config: int) -> SimpleNamespace:
         if intf > 1 or alt or config:
             raise IndexError(intf)
-        return _Descriptor(
-            {
-                "bLength": 9,
-                "bDescriptorType": 4,
-                "bInterfaceNumber": intf,
-                "bAlternateSetting": 0,
-                "bNumEndpoints": len(self._endpoints(dev, intf)),
-                "bInterfaceClass": 0xFF,
-                "bInterfaceSubClass": 0,
-                "bInterfaceProtocol": 0,
-                "iInterface": 0,
-            }
-        )
+        return SimpleNamespace(
+            bLength=9, bDescriptorType=4, bInterfaceNumber=intf, bAlternateSetting=0,
+            bNumEndpoints=len(self._endpoints(dev, intf)), bInterfaceClass=0xFF, bInterfaceSubClass=0,
+            bInterfaceProtocol=0, iInterface=0, extra_descriptors=[],
+        )  # fmt: skip
 
     def _endpoints(self, dev: Unit, intf: int) -> list[tuple[int, int]]:
         if intf == 0 or not dev.bulk:
             return [(CONTROL, usb.util.ENDPOINT_TYPE_INTR)]
         return [(OUT, usb.util.ENDPOINT_TYPE_BULK), (IN, usb.util.ENDPOINT_TYPE_BULK)]
 
-    def get_endpoint_descriptor(self, dev: Unit, ep: int, intf: int, alt: int, config: int) -> _Descriptor:
-        endpoints = self._endpoints(dev, intf)
-        if ep >= len(endpoints):
-            raise IndexError(ep)
-        address, kind = endpoints[ep]
-        return _Descriptor(
-            {
-                "bLength": 7,
-                "bDescriptorType": 5,
-                "bEndpointAddress": address,
-                "bmAttributes": kind,
-                "wMaxPacketSize": PACKET,
-                "bInterval": 0,
-                "bRefresh": 0,
-                "bSynchAddress": 0,
-            }
-        )
+    def get_endpoint_descriptor(
+        self, dev: Unit, ep: int, intf: int, alt: int, config: int
+    ) -> SimpleNamespace:
+        address, kind = self._endpoints(dev, intf)[ep]
+        return SimpleNamespace(
+            bLength=7, bDescriptorType=5, bEndpointAddress=address, bmAttributes=kind, wMaxPacketSize=PACKET,
+            bInterval=0, bRefresh=0, bSynchAddress=0, extra_descriptors=[],
+        )  # fmt: skip
 
     def open_device(self, dev: Unit) -> Unit:
         self.calls.append("open")
