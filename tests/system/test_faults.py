@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from service.demo import interpolate
-from service.encoding import decode_diagnostics, decode_event, decode_frame, decode_pose, encode_pose
+from service.encoding import decode_diagnostics, decode_frame, decode_pose, encode_pose
 from service.offline.export.export import export
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.recording.mcap_reader import Recording
+from tests.service.recording.sessions import events_of
 from tests.system.machine import FakeVehicle, LiveService, Subscriber
 
 FAULTS = Path(__file__).with_name("faults.yaml")
@@ -54,7 +55,7 @@ def test_a_drive_with_faults_stays_up_and_its_session_replays(
         calm_ns = stamps_ns[stamps_ns > stamps_ns[-1] - CALM_S * 1e9]
         assert np.median(np.diff(calm_ns)) * 1e-9 == pytest.approx(period_s, rel=0.06)
 
-    too_old = sum("scan_passed_over" in decode_event(m.payload) for m in recording.messages(["/events"]))
+    too_old = sum(event["event"] == "scan_passed_over" for event in events_of(session))
     assert np.median(errors_m(recording, vehicle.truth)) < (0.1 if too_old else 0.03)
     recorded = [m.payload for m in recording.messages(["/pose"])]
     replayed = replay([session], ReplayOptions())

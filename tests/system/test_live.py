@@ -43,6 +43,7 @@ from service.recording.mcap_reader import Recording
 from service.recording.raw_wire import frames_from_wire, raw_chunks
 from tests.http_client import client_session
 from tests.service.publishing.conftest import HOSTS, tls
+from tests.service.recording.sessions import events_of
 from tests.service.web.conftest import Client
 from tests.system.machine import PATIENCE_S, FakeVehicle, LiveService, Subscriber, free_port
 from tests.waiting import wait_until
@@ -306,7 +307,7 @@ def _check_the_old_map_is_gone(late: Subscriber, before: list[Any]) -> dict[str,
 
 
 def _check_the_commands_stand_in_the_recording(session: Path) -> None:
-    events = [json.loads(decode_event(m.payload)) for m in Recording([session]).messages(["/events"])]
+    events = events_of(session)
     # Which states it went through is up to the load of the machine; it was paused in any case.
     states = {event["state"] for event in events if event["event"] == "mapping" and event["reason"]}
     assert "paused" in states
@@ -375,8 +376,7 @@ def _check_a_session_of_its_own(session: Path) -> None:
     # A pose that was on its way when the recording began has an earlier log time.
     assert static.log_ns - first.log_ns < 100_000_000
     replayed = replay([session], ReplayOptions())
-    events = [decode_event(m.payload) for m in recording.messages(["/events"])]
-    too_old = sum("scan_passed_over" in event for event in events)
+    too_old = sum(event["event"] == "scan_passed_over" for event in events_of(session))
     assert len(replayed.outputs) + too_old == counts["/front/scan"]
     assert replayed.outputs[0].pose_map_base.x_m == 0.0  # a map of its own
     first = next(iter(recording.messages(["/front/scan"])))

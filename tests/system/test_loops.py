@@ -1,6 +1,5 @@
 """Loops that close while the mapping goes on: in another process, and in the replay to the last bit."""
 
-import json
 import math
 import time
 from collections.abc import Iterator
@@ -11,13 +10,12 @@ import numpy as np
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.config import parse_config
-from service.encoding import LogClock, Message, decode_event, encode_pose, encode_tf_static
+from service.encoding import LogClock, Message, encode_pose, encode_tf_static
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import MappingSession
 from service.mapper.profiles import build_mapper
 from service.mapstore.tiles import TileStore
 from service.offline.replay.replay import Replay, ReplayOptions, replay
-from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder
 from service.runtime.back_end import BackEndProcess
 from service.runtime.channel import wait_for
@@ -26,6 +24,7 @@ from service.runtime.intake import Intake
 from service.runtime.mapping_outputs import MappingOutputs
 from tests.service.mapper.drives import cast
 from tests.service.mapper.graph.loops.rings import BEAMS, FIRST_RAD, RING, STEP_RAD, round_the_ring
+from tests.service.recording.sessions import events_of
 from tests.service.runtime.inline_link import InlineLink
 
 CONFIG = """\
@@ -102,10 +101,6 @@ class Live:
             self.poses.append(message.payload)
 
 
-def events(session: Path) -> list[str]:
-    return [json.loads(decode_event(m.payload))["event"] for m in Recording([session]).messages(["/events"])]
-
-
 def jumps(done: Replay) -> int:
     moved = [output.pose_map_odom for output in done.outputs]
     return sum(a != b for a, b in pairwise(moved))
@@ -115,7 +110,7 @@ def test_a_drive_whose_loops_closed_while_driving_replays_to_the_last_bit(tmp_pa
     live = Live(tmp_path, SCANS)
     assert live.outputs.counters["loop_closures"] >= 3
     assert live.outputs.graph_fault == ""
-    assert events(live.session).count("apply_result") > 20
+    assert [event["event"] for event in events_of(live.session)].count("apply_result") > 20
     done = replay([live.session], ReplayOptions())
     assert [encode_pose(output, 0).payload for output in done.outputs] == live.poses
     assert jumps(done) >= 1  # a correction came in on the way

@@ -1,16 +1,19 @@
 """Messages and files that the tests of the recording share."""
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from rosbags.highlevel import AnyReader
 
 from drivers.frames import NO_INTENSITY, LaserScan, OdometrySample
-from service.encoding import Message, encode_frame, encode_tf_static
+from service.encoding import Message, decode_event, encode_frame, encode_tf_static
 from service.geometry.se2 import SE2
 from service.recording.mcap_file import McapFile
+from service.recording.mcap_reader import Recording
 
 T0_NS = 1_763_719_200_000_000_000  # 2025-11-21 10:00:00 UTC
 PLENTY = 1 << 40  # bytes free on a disk
@@ -95,6 +98,11 @@ def write_file(
     else:
         file.abandon()
     return written
+
+
+def events_of(*paths: Path) -> list[dict[str, Any]]:
+    """The events of a recording."""
+    return [json.loads(decode_event(m.payload)) for m in Recording(paths).messages(["/events"])]
 
 
 def read_back(path: Path) -> list[tuple[str, int, bytes]]:

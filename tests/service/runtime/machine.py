@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from service.encoding import LogClock, Message, decode_event
+from service.encoding import LogClock, Message
 from service.errors import InputError
 from service.mapper.mapping_session import MappingSession
 from service.mapper.profiles import mapping_config
@@ -128,10 +128,6 @@ class Machine:
 
     def _put(self, message: Message, arrived_ns: int | None = None) -> None:
         self.recorder.put(message, arrived_ns)
-
-
-def events(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(decode_event(m.payload)) for m in Recording([path]).messages(["/events"])]
 
 
 def channels(path: Path) -> list[str]:

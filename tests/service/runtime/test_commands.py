@@ -17,7 +17,8 @@ from service.recording.mcap_reader import Recording
 from service.sinks.map_saver import MAX_ASKED
 from tests.in_background import started
 from tests.service.mapstore.graphs import graph_of
-from tests.service.runtime.machine import Machine, channels, events
+from tests.service.recording.sessions import events_of
+from tests.service.runtime.machine import Machine, channels
 from tests.service.sinks.test_map_saver import tile
 from tests.waiting import wait_until
 
@@ -42,7 +43,7 @@ def test_a_mark_is_refused_while_nothing_is_recorded(machine: Machine):
     }
     machine.ask("start_recording")
     assert machine.ask("mark", text="kept too")["ok"]
-    marks = [e["text"] for session in machine.stop() for e in events(session) if e["event"] == "mark"]
+    marks = [e["text"] for session in machine.stop() for e in events_of(session) if e["event"] == "mark"]
     assert marks == ["kept", "kept too"]
 
 
@@ -59,7 +60,7 @@ def test_a_pause_and_a_mark_stand_in_the_recording_where_they_came(machine: Mach
     assert channels(session) == [
         "front/scan", "pose", "events", "events", "front/scan", "events", "events", "front/scan", "pose",
     ]  # fmt: skip
-    assert events(session) == [
+    assert events_of(session) == [
         {"event": "pause", "id": "a"},
         {"event": "pause"},
         {"event": "mark", "text": "der T\u00fcrrahmen, \U0001f6aa \u0000"},
@@ -79,7 +80,7 @@ def test_requests_to_the_graph_stand_in_the_recording_and_are_answered_by_it(mac
     for verb, request in (("optimize", {}), ("undo", {}), ("remove_landmark_pair", {"pair": 1})):
         assert "this profile has no graph" in machine.ask(verb, **request)["error"]
     (session,) = machine.stop()
-    assert events(session) == [
+    assert events_of(session) == [
         {"event": "add_landmark_pair", **pair},
         {"event": "optimize"},
         {"event": "undo"},
@@ -160,7 +161,7 @@ def test_a_stored_map_is_loaded_and_the_one_before_is_saved(machine: Machine, tm
     machine.ask("reset_map")
     assert machine.saver.folder == tmp_path / "map_3"
     path = machine.stop()[0]
-    (event,) = [event for event in events(path) if event["event"] == "load_map"]
+    (event,) = [event for event in events_of(path) if event["event"] == "load_map"]
     assert (event["map"], event["version"]) == (str(tmp_path / "office"), 1)
     step = decode_step(encode_event(json.dumps(event), 7, 7).payload, 7)
     assert step == LoadMap(str(tmp_path / "office"), 1, 7)
@@ -273,7 +274,7 @@ def test_recording_stops_and_starts_between_two_frames(machine: Machine):
     (first,) = [Path(path) for path in stopped["files"]]
     assert stopped["changed"]
     assert channels(first) == ["front/scan", "pose", "front/scan", "pose", "events"]
-    assert events(first) == [{"event": "stop_recording"}]
+    assert events_of(first) == [{"event": "stop_recording"}]
     machine.scan(2)
     started = machine.ask("start_recording")
     assert started["changed"]
@@ -282,7 +283,7 @@ def test_recording_stops_and_starts_between_two_frames(machine: Machine):
     assert machine.stop() == [first, Path(active.removesuffix(".active"))]
     second = Path(active.removesuffix(".active"))
     assert channels(second) == ["events", "front/scan", "pose"]
-    assert events(second) == [{"event": "start_recording"}]
+    assert events_of(second) == [{"event": "start_recording"}]
 
 
 def test_a_recording_begun_in_a_pause_says_so_first(machine: Machine):
@@ -293,7 +294,7 @@ def test_a_recording_begun_in_a_pause_says_so_first(machine: Machine):
     machine.scan()
     machine.ask("resume")
     _, second = machine.stop()
-    assert [event["event"] for event in events(second)] == ["start_recording", "pause", "resume"]
+    assert [event["event"] for event in events_of(second)] == ["start_recording", "pause", "resume"]
 
 
 def test_a_disk_that_is_full_is_reported_to_who_wants_to_record(machine: Machine, free_bytes: list[int]):
@@ -338,4 +339,4 @@ def test_what_the_disk_of_the_maps_cannot_take_any_more_is_refused_before_it_is_
     ):
         assert machine.ask(verb, **request)["error"].startswith(f"{words}: {MAX_ASKED} requests wait for")
     with InUse(tmp_path / "office", "somebody who edits it"):
-        assert [event["event"] for event in events(*machine.stop())] == ["save_map"]
+        assert [event["event"] for event in events_of(*machine.stop())] == ["save_map"]

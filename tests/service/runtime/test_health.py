@@ -16,6 +16,7 @@ from service.runtime.metrics import LatencyHistogram
 
 S = 1_000_000_000
 FEW = Reason("off_map", "few beams agree")
+WELL = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
 
 
 def streaming(frames: int = 100, last_frame_ns: int = 10 * S, delay_ns: int = 20_000_000) -> LinkHealth:
@@ -168,7 +169,7 @@ def test_a_stepped_wall_clock_is_reported():
 
 def test_a_mapping_that_goes_to_and_fro_is_reported_at_most_each_ten_seconds():
     made = report(streaming())
-    made.parts.outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
+    made.parts.outputs.last = WELL
     facts = []
     for second in range(11, 61):
         made.parts.outputs.last_ns = second * S
@@ -222,7 +223,7 @@ def test_times_that_cannot_be_are_a_warning_of_their_own():
 
 def test_a_graph_that_does_no_work_is_a_warning():
     made = report(streaming())
-    made.parts.outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
+    made.parts.outputs.last = WELL
     made.parts.outputs.graph_fault = "the process died"
     facts = status(made, "mapping")
     assert facts.level == WARNING
@@ -234,7 +235,7 @@ def test_a_graph_that_does_no_work_is_a_warning():
 def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
     made = report(streaming())
     outputs = made.parts.outputs
-    outputs.last = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ())
+    outputs.last = WELL
     outputs.restart_reason = "said nothing for 10 s while 7 items waited"
 
     def reported_at(seconds: int, restarts: int) -> tuple[int, str]:
@@ -277,10 +278,7 @@ def test_scans_that_come_and_give_no_pose_are_not_the_sensor_s_fault(
         f"no scan of front mapped yet (expected within 5 s): front sends 50 scans/s, but {words}; if it stays"
     )
     assert facts.message.startswith(unmapped)
-    made.parts.outputs.last, made.parts.outputs.last_ns = (
-        Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()),
-        11 * S - 800_000_000,
-    )
+    made.parts.outputs.last, made.parts.outputs.last_ns = WELL, 11 * S - 800_000_000
     link.frames = 200
     facts = status(made, "mapping", 11 * S)
     assert facts.message.startswith("no pose for 0.8 s (expected one each 0.5 s at least): front sends ")
@@ -290,7 +288,7 @@ def test_scans_that_come_and_give_no_pose_are_not_the_sensor_s_fault(
 def test_the_lasers_without_scans_are_named():
     made = report(streaming(last_frame_ns=7 * S), LinkHealth("rear", state="down"))
     made.parts.outputs.lasers = ("front", "rear")
-    made.parts.outputs.last, made.parts.outputs.last_ns = Mapped(1, 1, 1, "ok", NO_REASON, 0.9, 1, ()), 7 * S
+    made.parts.outputs.last, made.parts.outputs.last_ns = WELL, 7 * S
     assert "no scan of front or rear comes; the status sensor/front or sensor/rear says" in (
         status(made, "mapping").message
     )

@@ -82,50 +82,48 @@ def scans_in_turn(count: int) -> list[LaserScan]:
     return [scan(10 + 30 * k, 20 + 30 * k, [1.0, 2.0]) for k in range(count)]
 
 
+class Shown:
+    """A mapping loop whose clock a test moves, and what comes of it beside the poses."""
+
+    def __init__(self, *mappers: FakeMapper) -> None:
+        fresh, self.said, self.now_ns = iter(mappers), list[Any](), 10**9
+        self.session = MappingSession(lambda: next(fresh), ["front"], None)
+        self.loop = MappingLoop(self.session, self.said.append, (), lambda: self.now_ns)
+        self._run = Run(FakeMapper())
+
+    def later(self, channel: str, seconds: float = 1.0, is_idle: bool = True) -> list[Message]:
+        """What is new on the channel."""
+        self.now_ns += round(seconds * 1e9)
+        self.said.clear()
+        self.loop.keep_up(is_idle)
+        self._run.put_out.clear()
+        for message in self.said:
+            self._run.outputs.heard(message)
+        return [message for message in self._run.recorded if message.channel == channel]
+
+
 def test_the_graph_is_shown_when_it_was_drawn_again_and_taken_away_by_a_reset():
-    mapper, said, now_ns = FakeMapper(), [], [0]
-    fresh = iter([mapper])
-    session = MappingSession(lambda: next(fresh, None) or FakeMapper(), ["front"], None)
-    loop = MappingLoop(session, said.append, (), lambda: now_ns[0])
-    run = Run(FakeMapper())
-
-    def shown() -> list[Message]:
-        now_ns[0] += 10**9
-        said.clear()
-        loop.keep_up(is_idle=True)
-        run.put_out.clear()
-        for message in said:
-            run.outputs.heard(message)
-        return [message for message in run.recorded if message.channel == "graph"]
-
-    assert shown() == []
+    mapper = FakeMapper()
+    shown = Shown(mapper, FakeMapper())
+    assert shown.later("graph") == []
     ends = np.ones((3, 2, 2), np.float32)
     mapper.graph_picture = GraphPicture(40, [np.ones((5, 2), np.float32)], ends, ends[:1])
-    (message,) = shown()
+    (message,) = shown.later("graph")
     picture = decode_graph(message.payload)
     assert (message.stamp_ns, len(picture.accepted), len(picture.refused)) == (40, 3, 1)
-    assert shown() == []
-    session.carry_out("reset_map")
-    (message,) = shown()
+    assert shown.later("graph") == []
+    shown.session.carry_out("reset_map")
+    (message,) = shown.later("graph")
     assert not decode_graph(message.payload).paths
-    assert shown() == []
+    assert shown.later("graph") == []
 
 
 def test_what_has_changed_is_reported_when_it_is_something_else():
-    mapper, said, now_ns = FakeMapper(), [], [10**9]
-    mappers = iter([mapper, FakeMapper()])
-    session = MappingSession(lambda: next(mappers), ["front"], None)
-    loop = MappingLoop(session, said.append, (), lambda: now_ns[0])
-    outputs = Run(FakeMapper())
+    mapper = FakeMapper()
+    shown = Shown(mapper, FakeMapper())
 
     def facts() -> list[Grid]:
-        now_ns[0] += 10**9
-        said.clear()
-        loop.keep_up(is_idle=True)
-        outputs.put_out.clear()
-        for message in said:
-            outputs.outputs.heard(message)
-        return [decode_grid(m.payload) for m in outputs.recorded if m.channel == "map/changes"]
+        return [decode_grid(message.payload) for message in shown.later("map/changes")]
 
     assert facts() == []  # no one watches
     mapper.changes_reported = changed([0.25])
@@ -136,7 +134,7 @@ def test_what_has_changed_is_reported_when_it_is_something_else():
     mapper.changes_reported = changed([0.25, 0.35])
     (grid,) = facts()
     assert grid.cells.tolist() == [[100, 100]]
-    session.carry_out("reset_map")
+    shown.session.carry_out("reset_map")
     (grid,) = facts()
     assert grid.cells.size == 0
 
@@ -148,36 +146,26 @@ def changed(x_m: list[float]) -> MapChanges:
 
 
 def test_what_stands_is_reported_each_two_seconds_while_scans_come():
-    mapper, said, now_ns = FakeMapper(), [], [10**9]
+    mapper = FakeMapper()
     mapper.stands = Grid(0, 0.1, 2.0, 3.0, np.full((2, 3), 40, np.int8))
-    loop = MappingLoop(MappingSession(lambda: mapper, ["front"], None), said.append, (), lambda: now_ns[0])
-    run = Run(FakeMapper()).put(*FRAMES)
-    items = iter(run.link.items)
+    shown = Shown(mapper)
+    items = iter(Run(FakeMapper()).put(*FRAMES).link.items)
 
     def take(count: int) -> None:
         for _ in range(count):
-            loop.take(next(items)._replace(arrived_ns=now_ns[0]))
+            shown.loop.take(next(items)._replace(arrived_ns=shown.now_ns))
 
-    def facts(later_s: float, is_idle: bool = True) -> list[Message]:
-        now_ns[0] += round(later_s * 1e9)
-        said.clear()
-        loop.keep_up(is_idle)
-        run.put_out.clear()
-        for message in said:
-            run.outputs.heard(message)
-        return [message for message in run.recorded if message.channel == "standing"]
-
-    assert facts(0.0) == []  # no scan was mapped
+    assert shown.later("standing", 0.0) == []  # no scan was mapped
     take(2)
-    assert facts(1.0) == []
-    (message,) = facts(1.1)
+    assert shown.later("standing", 1.0) == []
+    (message,) = shown.later("standing", 1.1)
     assert decode_grid(message.payload).cells.tolist() == mapper.stands.cells.tolist()
-    assert facts(2.1) == []  # nothing came meanwhile
+    assert shown.later("standing", 2.1) == []  # nothing came meanwhile
     take(1)
-    assert facts(2.1, is_idle=False) == []  # items wait
-    assert len(facts(8.0, is_idle=False)) == 1
+    assert shown.later("standing", 2.1, is_idle=False) == []  # items wait
+    assert len(shown.later("standing", 8.0, is_idle=False)) == 1
     mapper.stands = None
-    assert facts(9.0) == []
+    assert shown.later("standing", 9.0) == []
 
 
 def test_a_frame_without_anything_to_map_is_counted_and_recorded():

@@ -18,7 +18,8 @@ from service.publishing.commands import CommandError
 from service.runtime import profile_switch
 from service.runtime.profile_switch import PresentMapping, compile_kernels
 from tests.in_background import started
-from tests.service.runtime.machine import Machine, events
+from tests.service.recording.sessions import events_of
+from tests.service.runtime.machine import Machine
 
 
 def test_the_map_before_is_saved_and_another_profile_begins_a_new_one(machine: Machine, tmp_path: Path):
@@ -37,7 +38,7 @@ def test_the_map_before_is_saved_and_another_profile_begins_a_new_one(machine: M
     assert machine.ask("save_map")["folder"] == str(tmp_path / "map_2")
     assert [load_map(tmp_path / name).about["profile"] for name in ("map", "map_2")] == ["corridor", "imle"]
     (session,) = machine.stop()
-    (event,) = [event for event in events(session) if event["event"] == "switch_profile"]
+    (event,) = [event for event in events_of(session) if event["event"] == "switch_profile"]
     assert event == {"event": "switch_profile", "profile": "imle"}
 
 
@@ -77,7 +78,7 @@ def test_what_cannot_be_switched_to_is_refused_in_words(machine: Machine, tmp_pa
     (tmp_path / "map").unlink()
     assert (machine.present.profile, machine.profiles, machine.tiles.number) == ("corridor", [], 1)
     (session,) = machine.stop()
-    assert "switch_profile" not in [event["event"] for event in events(session)]
+    assert "switch_profile" not in [event["event"] for event in events_of(session)]
 
 
 def test_a_session_that_is_localised_keeps_its_profile():
@@ -112,7 +113,7 @@ def test_a_recording_begun_after_a_switch_says_so_first(machine: Machine):
     machine.ask("start_recording")
     machine.scan()
     _, second = machine.stop()
-    assert [(event["event"], event.get("profile")) for event in events(second)] == [
+    assert [(event["event"], event.get("profile")) for event in events_of(second)] == [
         ("start_recording", None),
         ("switch_profile", "imle"),
     ]

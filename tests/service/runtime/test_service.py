@@ -1,7 +1,6 @@
 """The service in this process: what ends it, and what it leaves behind. Its devices answer nothing."""
 
 import gc
-import json
 import os
 import socket
 import threading
@@ -16,7 +15,7 @@ import numpy as np
 import pytest
 
 from service.config import ServiceConfig, parse_config
-from service.encoding import ERROR, OK, Message, Status, decode_diagnostics, decode_event
+from service.encoding import ERROR, OK, Message, Status, decode_diagnostics
 from service.errors import CorridorError, InputError, OutputLostError, StorageError
 from service.mapstore.begin_in import MapVersion, recorded_version
 from service.mapstore.files import load_map, save_map, version_folder
@@ -34,6 +33,7 @@ from service.runtime.service import Service
 from service.sinks.registry import SinkKind
 from service.sinks.sink import Sink, SinkContext
 from tests.service.mapstore.graphs import graph_of
+from tests.service.recording.sessions import events_of
 from tests.service.runtime.mappers import FATAL_RANGE_M, LOADED
 from tests.service.runtime.mapping_runs import scan
 
@@ -105,6 +105,19 @@ def tick_until(service: Service, what: Callable[[], bool], timeout_s: float = 60
         pause.wait(0.02)
 
 
+def feed(service: Service, scans: int, first_range_m: float = 2.0) -> None:
+    """None of them is ever too old, however slow this machine is."""
+    arrived_ns = time.monotonic_ns() + 3600 * 10**9
+    for at_ns in range(arrived_ns, arrived_ns + scans * 20_000_000, 20_000_000):
+        service.frame_sink(scan(at_ns, at_ns, [first_range_m, *[2.0] * 59]))
+
+
+def last_health(recording: Recording) -> dict[str, Status]:
+    """The rows by their names."""
+    *_, last = recording.messages(["/diagnostics"])
+    return {row.name: row for row in decode_diagnostics(last.payload)}
+
+
 def test_nothing_mapped_is_no_error_and_leaves_no_map(open_service: Callable[..., Service], tmp_path: Path):
     service = open_service()
     assert service.start()
@@ -112,9 +125,9 @@ def test_nothing_mapped_is_no_error_and_leaves_no_map(open_service: Callable[...
     summary = service.stop()
     assert (summary.scans, summary.map_folder, service.failure) == (0, None, "")
     assert list((tmp_path / "maps").iterdir()) == []
-    events = [decode_event(m.payload) for m in Recording(summary.sessions).messages(["/events"])]
-    assert events[0] == '{"event": "start"}'
-    assert events[-1] == '{"event": "stop", "reason": "asked to"}'
+    first, *_, last = events_of(*summary.sessions)
+    assert first == {"event": "start"}
+    assert last == {"event": "stop", "reason": "asked to"}
 
 
 def test_a_recording_says_which_version_of_a_stored_map_it_began_in(
@@ -182,20 +195,16 @@ def test_a_mapper_that_fails_at_every_scan_brings_the_service_down_with_its_reco
     facts = threading.Event()
     service = open_service(on_failure=facts.set)
     service.start()
-    for k in range(MAX_DEATHS):
-        arrived_ns = time.monotonic_ns() + 3600 * 10**9  # never too old, however slow this machine is
-        service.frame_sink(
-            scan(arrived_ns + k * 20_000_000, arrived_ns + k * 20_000_000, [FATAL_RANGE_M, 2.0, 3.0])
-        )
+    feed(service, MAX_DEATHS, FATAL_RANGE_M)
     assert facts.wait(30.0)
     assert f"{MAX_DEATHS} times after item 0" in service.failure
     summary = service.stop()
     recording = Recording(summary.sessions)
     assert [m.channel for m in recording.messages(["/front/scan"])] == ["front/scan"] * MAX_DEATHS
-    events = [decode_event(m.payload) for m in recording.messages(["/events"])]
-    assert sum("frame_refused" in event for event in events) == MAX_DEATHS
-    assert any("mapper_restarted" in event and "no such tile" in event for event in events)
-    assert "no such tile" in events[-1]
+    events = events_of(*summary.sessions)
+    assert sum(event["event"] == "frame_refused" for event in events) == MAX_DEATHS
+    assert any(event["event"] == "mapper_restarted" and "no such tile" in str(event) for event in events)
+    assert "no such tile" in events[-1]["reason"]
 
 
 def test_a_mapper_that_does_not_end_in_good_order_costs_neither_recording_nor_map(
@@ -210,9 +219,8 @@ def test_a_mapper_that_does_not_end_in_good_order_costs_neither_recording_nor_ma
     service = open_service()
     service.start()
     summary = service.stop()
-    events = [decode_event(m.payload) for m in Recording(summary.sessions).messages(["/events"])]
     assert service.failure == "the end of the mapper: OSError: the disk hangs"
-    assert "the disk hangs" in events[-1]
+    assert "the disk hangs" in events_of(*summary.sessions)[-1]["reason"]
 
 
 def test_what_cannot_be_reported_at_the_end_costs_neither_recording_nor_hooks(
@@ -229,8 +237,7 @@ def test_what_cannot_be_reported_at_the_end_costs_neither_recording_nor_hooks(
     summary = service.stop()
     assert service.failure == "the last health: ValueError: a rate that is no number"
     assert not list((tmp_path / "sessions").glob("*.active"))
-    events = [decode_event(m.payload) for m in Recording(summary.sessions).messages(["/events"])]
-    assert events[-1] == json.dumps({"event": "stop", "reason": service.failure})
+    assert events_of(*summary.sessions)[-1] == {"event": "stop", "reason": service.failure}
     assert (threading.excepthook, gc.get_freeze_count()) == (hook, 0)
 
 
@@ -259,12 +266,11 @@ def test_a_clean_stop_is_no_fault_however_long_it_takes(
 
     stop_readers = Readers.stop
     monkeypatch.setattr(Readers, "stop", stop)
-    recording = Recording(service.stop().sessions)
-    *_, last = recording.messages(["/diagnostics"])
-    rows = {row.name: row for row in decode_diagnostics(last.payload)}
+    sessions = service.stop().sessions
+    rows = last_health(Recording(sessions))
     assert (rows["sensor/front"].level, rows["mapping"].message) == (OK, "ok")
     assert "mapping is stale" not in caplog.text
-    assert not any("stale" in decode_event(m.payload) for m in recording.messages(["/events"]))
+    assert "stale" not in str(events_of(*sessions))
 
 
 def test_a_thread_no_one_watches_brings_the_service_down_too(
@@ -346,14 +352,12 @@ def test_a_map_that_cannot_be_saved_is_raised_after_everything_ended(
     service.start()
     (tmp_path / "maps").rmdir()
     (tmp_path / "maps").write_text("in the way")
-    for k in range(40):
-        stamp_ns = time.monotonic_ns()
-        service.frame_sink(scan(stamp_ns + k, stamp_ns + k, [2.0] * 60))
+    feed(service, 40)
     with pytest.raises(OutputLostError, match="cannot save the map") as caught:
         service.stop()
     assert caught.value.exit_code == 1
-    (session,) = (tmp_path / "sessions").glob("*.mcap")
-    assert any(t.name == "/pose" for t in Recording([session]).topics)
+    sessions = sorted((tmp_path / "sessions").glob("*.mcap"))
+    assert any(topic.name == "/pose" for topic in Recording(sessions).topics)
 
 
 def test_a_recording_that_is_not_finished_is_raised_after_everything_ended(
@@ -397,10 +401,8 @@ def test_a_step_of_the_wall_clock_is_reported_and_not_applied(
     service.tick()
     assert service.host_time.offset_ns == before_ns
     summary = service.stop()
-    recording = Recording(summary.sessions)
-    assert recording.metadata["clock"]["wall_clock_step_ns"] == "3600000000000"
-    events = [decode_event(m.payload) for m in recording.messages(["/events"])]
-    assert '{"event": "clock_step", "step_ns": 3600000000000}' in events
+    assert Recording(summary.sessions).metadata["clock"]["wall_clock_step_ns"] == "3600000000000"
+    assert {"event": "clock_step", "step_ns": 3_600_000_000_000} in events_of(*summary.sessions)
 
 
 class BrokenSink(Sink):
@@ -432,18 +434,14 @@ def test_a_sink_that_is_broken_in_every_way_costs_neither_mapping_nor_another_si
     monkeypatch.setattr(service_module, "SINKS", (broken, *service_module.SINKS))
     service = open_service()
     service.start()
-    arrived_ns = time.monotonic_ns() + 3600 * 10**9  # never too old, however slow this machine is
-    for k in range(20):
-        at_ns = arrived_ns + k * 20_000_000
-        service.frame_sink(scan(at_ns, at_ns, [2.0] * 60))
+    feed(service, 20)
     tick_until(service, lambda: service.outputs.states.total() == 20)
     service.tick()
     summary = service.stop()
     assert service.failure == ""
     recording = Recording(summary.sessions)
     assert len(list(recording.messages(["/pose"]))) == 20
-    *_, last = recording.messages(["/diagnostics"])
-    rows = {row.name: row for row in decode_diagnostics(last.payload)}
+    rows = last_health(recording)
     assert rows["broken"].level == ERROR
     assert int(rows["broken"].values["refused"]) > 20
     assert {name: rows[name].level for name in ("zenoh", "recording", "map")} == {
