@@ -88,9 +88,19 @@ def record(
     return session
 
 
-def test_what_is_mapped_is_what_was_mapped(links: dict[str, VirtualLink], tmp_path: Path):
-    session = record(tmp_path, links, events=((3.0, "pause"), (3.5, "resume")))
-    recorded, again = (replay([session], ReplayOptions(from_raw=from_raw)) for from_raw in (False, True))
+def test_what_is_mapped_is_what_was_mapped_without_the_recorded_frames(
+    links: dict[str, VirtualLink], tmp_path: Path
+):
+    """As where a driver could make nothing of the bytes then."""
+    mute = {name: VirtualLink(lambda: None, link.device, 0) for name, link in links.items()}
+    for name, link in links.items():
+        mute[name].chunks = link.chunks
+    paused = ((3.0, "pause"), (3.5, "resume"))
+    raw = record(tmp_path / "mute", mute, events=paused)
+    with pytest.raises(InputError, match="LaserScan"):
+        open_session([raw])
+    recorded = replay([record(tmp_path, links, events=paused)], ReplayOptions())
+    again = replay([raw], ReplayOptions(from_raw=True))
     assert [encode_pose(output, 0).payload for output in again.outputs] == [
         encode_pose(output, 0).payload for output in recorded.outputs
     ]
@@ -98,17 +108,6 @@ def test_what_is_mapped_is_what_was_mapped(links: dict[str, VirtualLink], tmp_pa
     assert again.summary["scans_paused"] == recorded.summary["scans_paused"] > 20
     assert again.summary[FROM_RAW]["front"]["frames"] > 200
     assert FROM_RAW not in recorded.summary
-
-
-def test_the_recorded_frames_themselves_are_not_needed(links: dict[str, VirtualLink], tmp_path: Path):
-    """As where a driver could make nothing of the bytes then."""
-    mute = {name: VirtualLink(lambda: None, link.device, 0) for name, link in links.items()}
-    for name, link in links.items():
-        mute[name].chunks = link.chunks
-    session = record(tmp_path, mute)
-    with pytest.raises(InputError, match="LaserScan"):
-        open_session([session])
-    assert len(replay([session], ReplayOptions(from_raw=True)).outputs) > 100
 
 
 def test_another_config_sets_the_drivers_otherwise(links: dict[str, VirtualLink], tmp_path: Path):
