@@ -10,7 +10,7 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.components import Placed, ScanToRender, ToRender
 from service.mapper.drawn_by_hand import among_scans
-from service.mapper.graph.model.keyframe_list import KeyframeList
+from service.mapper.graph.model.keyframe_list import STORED, KeyframeList
 from service.mapper.graph.model.loops import Loop, Refusals, as_edges, loop_arrays
 from service.mapper.graph.model.pose_graph import Edges, PoseGraph, Sightings
 from service.mapper.graph.relocalise.detached_search import MIN_APART_M
@@ -61,15 +61,8 @@ def saved_graph(
     thinned = [keyframes.thinned[k] for k in kept.tolist()]
     return SavedGraph(
         stamp_ns=np.array(keyframes.stamps_ns, np.int64)[kept],
-        odom=keyframes.odom[kept],
-        map=keyframes.map[kept],
-        path_length_m=keyframes.path_length_m[kept],
-        covariance=keyframes.covariance[kept],
-        score=keyframes.score[kept],
-        gap_s=keyframes.gap_s[kept],
         segment=keyframes.segment[kept],
-        is_lost=keyframes.is_lost[kept],
-        range_sigma_m=keyframes.range_sigma_m[kept],
+        **{name: getattr(keyframes, name)[kept] for name in STORED},
         sensor_xy_m=np.array([one.sensor_xy_m for one in thinned], np.float64).reshape(-1, 2),
         point_count=np.array([len(one.xy_base) for one in thinned], np.int64),
         xy_base=np.concatenate([np.zeros((0, 2), np.float32), *(one.xy_base for one in thinned)]),

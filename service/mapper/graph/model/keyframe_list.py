@@ -68,8 +68,24 @@ class ThinnedScan:
     sensor_xy_m: tuple[float, float]
 
 
-# of KeyframeList, one row per key frame
-ARRAYS = ("_poses", "_numbers", "_covariance", "_motion_covariance")
+# Arrays that a SavedGraph has as well.
+STORED = ("odom", "map", "path_length_m", "covariance", "score", "gap_s", "is_lost", "range_sigma_m")
+ROW = np.dtype(  # of a key frame
+    [
+        ("odom", np.float64, 3),
+        ("map", np.float64, 3),
+        ("path_length_m", np.float64),
+        ("score", np.float64),
+        ("is_lost", np.bool_),
+        ("has_points", np.bool_),
+        ("segment", np.int64),
+        ("gap_s", np.float64),
+        ("range_sigma_m", np.float64),
+        ("covariance", np.float64, (3, 3)),
+        ("motion_covariance", np.float64, (3, 3)),
+    ],
+    align=True,
+)
 
 
 def thinned(frame: KeyFrame, cell_m: float) -> ThinnedScan:
@@ -83,17 +99,14 @@ def thinned(frame: KeyFrame, cell_m: float) -> ThinnedScan:
 
 
 class KeyframeList:
-    """All key frames in the order driven. Arrays grow by doubling; rows are key frames.
+    """All key frames in the order driven. Rows of the arrays are key frames.
 
     Those of a stored map come first; their segments have the numbers -1, -2 ...
     """
 
     def __init__(self, stored: SavedGraph | None = None) -> None:
         self.count = self.stored = 0
-        self._poses = np.zeros((1, 6))
-        self._numbers = np.zeros((1, 7))
-        self._covariance = np.zeros((1, 3, 3))
-        self._motion_covariance = np.zeros((1, 3, 3))
+        self._rows = np.zeros(1, ROW)  # grows by doubling
         self.unmeasured: set[int] = set()  # segments to which the motion was not measured
         self.stamps_ns: list[int] = []
         self.thinned: list[ThinnedScan] = []
@@ -103,21 +116,12 @@ class KeyframeList:
 
     def _restore(self, stored: SavedGraph) -> None:
         self.count = self.stored = len(stored)
-        _, segment = np.unique(stored.segment, return_inverse=True)
-        self._poses = np.column_stack((stored.odom, stored.map))
-        self._numbers = np.column_stack(
-            (
-                stored.path_length_m,
-                stored.score,
-                stored.is_lost,
-                stored.point_count > 0,
-                -1 - segment,
-                stored.gap_s,
-                stored.range_sigma_m,
-            )
-        ).astype(np.float64)
-        self._covariance = stored.covariance.copy()
-        self._motion_covariance = np.full_like(stored.covariance, np.nan)
+        self._rows = np.zeros(self.count, ROW)
+        for name in STORED:
+            self._rows[name] = getattr(stored, name)
+        self._rows["has_points"] = stored.point_count > 0
+        self._rows["segment"] = -1 - np.unique(stored.segment, return_inverse=True)[1]
+        self._rows["motion_covariance"] = np.nan
         self.stamps_ns = stored.stamp_ns.tolist()
         ends = np.cumsum(stored.point_count)[:-1]
         self.thinned = [
@@ -133,49 +137,47 @@ class KeyframeList:
     @property
     def odom(self) -> Floats:
         """(N, 3) pose_odom_base."""
-        return self._poses[: self.count, :3]
+        return self._rows["odom"][: self.count]
 
     @property
     def map(self) -> Floats:
         """(N, 3) pose_map_base; written by the optimiser."""
-        return self._poses[: self.count, 3:]
+        return self._rows["map"][: self.count]
 
     @property
     def path_length_m(self) -> Floats:
         """(N,) path length up to each, m."""
-        return self._numbers[: self.count, 0]
+        return self._rows["path_length_m"][: self.count]
 
     @property
     def score(self) -> Floats:
         """(N,) inlier ratio of each on the local map."""
-        return self._numbers[: self.count, 1]
+        return self._rows["score"][: self.count]
 
     @property
     def is_lost(self) -> npt.NDArray[np.bool_]:
         """(N,) whether its pose in odom is a prediction."""
-        lost: npt.NDArray[np.bool_] = self._numbers[: self.count, 2] != 0.0
-        return lost
+        return self._rows["is_lost"][: self.count]
 
     @property
     def has_points(self) -> npt.NDArray[np.bool_]:
         """(N,) whether its points are kept."""
-        has: npt.NDArray[np.bool_] = self._numbers[: self.count, 3] != 0.0
-        return has
+        return self._rows["has_points"][: self.count]
 
     @property
     def segment(self) -> npt.NDArray[np.int64]:
         """(N,) number of its map segment."""
-        return self._numbers[: self.count, 4].astype(np.int64)
+        return self._rows["segment"][: self.count]
 
     @property
     def gap_s(self) -> Floats:
         """(N,) longest scan gap since the key frame before, s."""
-        return self._numbers[: self.count, 5]
+        return self._rows["gap_s"][: self.count]
 
     @property
     def range_sigma_m(self) -> Floats:
         """(N,) noise of its ranges, m."""
-        return self._numbers[: self.count, 6]
+        return self._rows["range_sigma_m"][: self.count]
 
     @property
     def is_usable(self) -> npt.NDArray[np.bool_]:
@@ -185,12 +187,12 @@ class KeyframeList:
     @property
     def covariance(self) -> Floats:
         """(N, 3, 3) covariance of its match."""
-        return self._covariance[: self.count]
+        return self._rows["covariance"][: self.count]
 
     @property
     def motion_covariance(self) -> Floats:
         """(N, 3, 3) covariance of its pose against the first scan of its session; NaN if not known."""
-        return self._motion_covariance[: self.count]
+        return self._rows["motion_covariance"][: self.count]
 
     def place_of(self, frame: KeyFrame) -> Floats:
         """(3,) pose of a new key frame in the map, by odometry since the newest one of its segment; if it
@@ -205,22 +207,18 @@ class KeyframeList:
         return se2.compose(self.map[before], se2.between(self.odom[before], odom))
 
     def append(self, frame: KeyFrame, pose_map: Floats, thinned: ThinnedScan) -> None:
-        if self.count == len(self._poses):
-            for name in ARRAYS:
-                array = getattr(self, name)
-                setattr(self, name, np.concatenate((array, np.zeros_like(array))))
-        k = self.count
-        pose = frame.pose_odom_base
-        self._poses[k] = pose.x_m, pose.y_m, pose.theta_rad, *pose_map
-        path_length_m = 0.0
-        if k and k == self.stored:
-            path_length_m = self._numbers[k - 1, 0] + SESSION_APART_M
-        elif k:
-            before = self._poses[k - 1]
-            path_length_m = self._numbers[k - 1, 0] + float(
-                np.hypot(pose.x_m - before[0], pose.y_m - before[1])
-            )
-        self._numbers[k] = (
+        if self.count == len(self._rows):
+            self._rows = np.concatenate((self._rows, np.zeros_like(self._rows)))
+        pose, path_length_m = frame.pose_odom_base, 0.0
+        if self.count:
+            x_m, y_m, _ = self.odom[-1]
+            is_first = self.count == self.stored
+            step_m = SESSION_APART_M if is_first else np.hypot(pose.x_m - x_m, pose.y_m - y_m)
+            path_length_m = self.path_length_m[-1] + step_m
+        known = frame.motion_covariance
+        self._rows[self.count] = (
+            (pose.x_m, pose.y_m, pose.theta_rad),
+            pose_map,
             path_length_m,
             frame.score,
             frame.is_lost,
@@ -228,10 +226,9 @@ class KeyframeList:
             frame.segment,
             frame.gap_s,
             frame.range_sigma_m,
+            frame.covariance,
+            np.full((3, 3), np.nan) if known is None else known,
         )
-        self._covariance[k] = frame.covariance
-        known = frame.motion_covariance
-        self._motion_covariance[k] = np.nan if known is None else known
         if frame.is_unmeasured:
             self.unmeasured.add(frame.segment)
         self.stamps_ns.append(frame.stamp_ns)
@@ -263,8 +260,7 @@ class KeyframeList:
     def keep(self, is_kept: npt.NDArray[np.bool_]) -> None:
         """Remove all others; is_kept (N,), True for those of a stored map."""
         self.by_hand = self.by_hand.without_keyframes(is_kept, self.map)
-        for name in ARRAYS:
-            setattr(self, name, getattr(self, name)[: self.count][is_kept])
+        self._rows = self._rows[: self.count][is_kept]
         self.stamps_ns = [stamp_ns for stamp_ns, keep in zip(self.stamps_ns, is_kept, strict=True) if keep]
         self.thinned = [scan for scan, keep in zip(self.thinned, is_kept, strict=True) if keep]
         self.count = int(is_kept.sum())
@@ -276,11 +272,11 @@ class KeyframeList:
     def put_points(self, k: int, thinned: ThinnedScan) -> None:
         """Replace the points of a key frame."""
         self.thinned[k] = thinned
-        self._numbers[k, 3] = len(thinned.xy_base) > 0
+        self.has_points[k] = len(thinned.xy_base) > 0
 
     def set_lost(self, keyframes: Iterable[int], is_lost: bool) -> None:
         """Mark the poses of some key frames as predictions, or as matches."""
-        self._numbers[list(keyframes), 2] = is_lost
+        self.is_lost[list(keyframes)] = is_lost
 
     def forget_all(self, first: int, last: int) -> None:
         """Remove the points of the key frames first..last - 1."""
@@ -293,9 +289,9 @@ class KeyframeList:
         In a detached segment key frames are taken at standstill, too.
         """
         old = self.count - 1 - most
-        before = np.flatnonzero(self._numbers[self.stored : max(old, self.stored), 3])
-        if not len(before) or self._numbers[self.stored + before[-1], 4] != self._numbers[old, 4]:
+        before = self.stored + np.flatnonzero(self.has_points[self.stored : max(old, self.stored)])
+        if not len(before) or self.segment[before[-1]] != self.segment[old]:
             return
-        pose, kept = (SE2(*self.odom[k].tolist()) for k in (old, self.stored + before[-1]))
+        pose, kept = (SE2(*self.odom[k].tolist()) for k in (old, before[-1]))
         if not pose.is_step_from(kept, config.keyframe_distance_m, config.keyframe_turn_rad):
             self.forget(old)
