@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from service.geometry.groups import groups_of
 from service.geometry.se2 import SE2
 from service.kernels.map_changes import CELL_FREE, CELL_UNKNOWN, CELL_WALL, ChangeVotes, Moment, weigh_changes
 from service.mapper.components import Points, RenderedMap
@@ -178,22 +179,10 @@ def group_sizes(row: Rows, column: Rows) -> Rows:
         return np.empty(0, np.int64)
     stride = int(column.max()) + 2  # the last column is no neighbour of the next row's first one
     cell = row * stride + column
-    first, second = [], []  # indices of each two neighbours
+    pairs = []  # indices of each two neighbours
     for step in (1, stride - 1, stride, stride + 1):
         index = np.minimum(np.searchsorted(cell, cell + step), len(cell) - 1)
         touches = np.flatnonzero(cell[index] == cell + step)
-        first.append(touches)
-        second.append(index[touches])
-    group = _joined(np.concatenate(first), np.concatenate(second), len(cell))
+        pairs.append(np.column_stack((touches, index[touches])))
+    group = groups_of(len(cell), np.concatenate(pairs))
     return np.bincount(group, minlength=len(cell))[group]
-
-
-def _joined(first: Rows, second: Rows, count: int) -> Rows:
-    """(count,) lowest index of the connected component, by pairs of indices."""
-    group = np.arange(count)
-    while (apart := group[first] != group[second]).any():
-        one, other = group[first[apart]], group[second[apart]]
-        np.minimum.at(group, np.maximum(one, other), np.minimum(one, other))
-        while not np.array_equal(group, lower := group[group]):
-            group = lower
-    return group

@@ -1,12 +1,13 @@
 """The stored graph, with which a later session continues: key frames and the loops between them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.by_hand import ByHand
 from service.mapper.loop_evidence import RefusedLoops
@@ -15,6 +16,20 @@ SESSION_APART_M = 100.0  # path length assumed from the last key frame of a sess
 POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of the noise of a range
 STORED_NAMES = {"path_length_m": "way_m", "segment": "piece"}  # in a file, where the field has another name
 MAY_BE_NAN = ("gap_s", "loop_against")
+# Arrays with a row per key frame, and per loop: the shape of a row.
+KEYFRAME_ROWS: dict[str, tuple[int, ...]] = {
+    **dict.fromkeys(("stamp_ns", "path_length_m", "score", "gap_s", "segment"), ()),
+    **dict.fromkeys(("is_lost", "range_sigma_m", "point_count"), ()),
+    **dict.fromkeys(("odom", "map"), (3,)),
+    "covariance": (3, 3),
+    "sensor_xy_m": (2,),
+}
+LOOP_ROWS: dict[str, tuple[int, ...]] = {
+    "loop_ends": (2,),
+    "loop_measured": (3,),
+    "loop_covariance": (3, 3),
+    **dict.fromkeys(("loop_score", "loop_points", "loop_against"), ()),
+}
 KINDS = {  # dtypes; the others are floating
     **dict.fromkeys(("stamp_ns", "segment", "point_count", "loop_ends", "loop_points"), "i"),
     "is_lost": "b",
@@ -71,6 +86,29 @@ class SavedGraph:
     def __len__(self) -> int:
         return len(self.stamp_ns)
 
+    def of_keyframes(self, which: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+        """The arrays of KEYFRAME_ROWS for some key frames."""
+        return {name: getattr(self, name)[which] for name in KEYFRAME_ROWS}
+
+    def of_loops(self, which: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+        """The arrays of LOOP_ROWS for some loops."""
+        return {name: getattr(self, name)[which] for name in LOOP_ROWS}
+
+    def points(self) -> tuple[npt.NDArray[np.int64], Floats]:
+        """The key frame of each point, (M,), and its position in the map, (M, 2) m."""
+        of = np.repeat(np.arange(len(self)), self.point_count)
+        return of, se2.points_from(self.map[of], self.xy_base.astype(np.float64))
+
+    def without_points(self, gone: npt.NDArray[np.bool_]) -> "SavedGraph":
+        """The graph without some points, (M,)."""
+        of = np.repeat(np.arange(len(self)), self.point_count)
+        return replace(
+            self,
+            point_count=np.bincount(of[~gone], minlength=len(self)).astype(np.int64),
+            xy_base=self.xy_base[~gone],
+            normals=self.normals[~gone],
+        )
+
     def points_of(self, k: int) -> Floats:
         """(P, 2) m, the points of one key frame, base frame."""
         first = int(self.point_count[:k].sum())
@@ -81,21 +119,9 @@ class SavedGraph:
         if self.stamp_ns.ndim != 1 or self.point_count.dtype.kind != "i" or self.loop_ends.ndim != 2:
             raise SavedGraphError("stamp_ns, point_count or loop_ends has the wrong type or shape")
         n, m, loops = len(self.stamp_ns), int(self.point_count.sum()), len(self.loop_ends)
-        expected = {
-            **dict.fromkeys(
-                ("stamp_ns", "path_length_m", "score", "gap_s", "segment", "is_lost", "range_sigma_m"), (n,)
-            ),
-            "point_count": (n,),
-            **dict.fromkeys(("odom", "map"), (n, 3)),
-            "covariance": (n, 3, 3),
-            "sensor_xy_m": (n, 2),
-            "xy_base": (m, 2),
-            "normals": (m, 3),
-            "loop_ends": (loops, 2),
-            "loop_measured": (loops, 3),
-            "loop_covariance": (loops, 3, 3),
-            **dict.fromkeys(("loop_score", "loop_points", "loop_against"), (loops,)),
-        }
+        expected = {name: (n, *row) for name, row in KEYFRAME_ROWS.items()}
+        expected |= {"xy_base": (m, 2), "normals": (m, 3)}
+        expected |= {name: (loops, *row) for name, row in LOOP_ROWS.items()}
         for name, shape in expected.items():
             array, stored = getattr(self, name), STORED_NAMES.get(name, name)
             if array.dtype.kind not in KINDS.get(name, "f"):

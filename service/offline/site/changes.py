@@ -6,7 +6,6 @@ sensor's. A wall that both saw within NEAR_CELLS of each other is the same one.
 """
 
 import math
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -15,13 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.counted import counted
+from service.geometry.groups import groups_of
 from service.geometry.polygons import Cells
 from service.kernels.occupancy import GRID_TILE_BITS, GRID_TILE_CELLS, GRID_TILE_MASK
 from service.mapper.by_hand import ByHand
 from service.mapper.components import RenderedMap
 from service.mapper.graph.loops.stored_graph import to_render
 from service.mapper.graph.model.keyframe_list import KeyframeList
-from service.mapper.graph.model.pose_graph import groups_of
 from service.mapper.maps.occupancy import EVIDENCE, NO_CELLS, OccupancyRenderer
 from service.mapper.saved_graph import SavedGraph
 
@@ -200,15 +199,14 @@ def _changed(stood: _Grid, free: _Grid) -> list[Cells]:
     for step in _steps(1):  # a beam along a face passes its cells, too; but it does not see what is behind
         cells = cells[free.at(cells + step) < 0]
     keys = np.sort(_keys_of(cells))
-    pairs = list[tuple[int, int]]()
+    pairs = [np.empty((0, 2), np.int64)]
     for key in _keys_of(_steps(LINK_CELLS)) if len(keys) else ():
         k = np.searchsorted(keys, keys + key).clip(max=len(keys) - 1)
         linked = np.flatnonzero(keys[k] == keys + key)
-        pairs += zip(linked.tolist(), k[linked].tolist(), strict=True)
-    groups = defaultdict[int, list[int]](list)
-    for k, group in enumerate(groups_of(len(keys), pairs)):
-        groups[group].append(k)
-    return [_cells_of(keys[own]) for own in groups.values() if len(own) >= MIN_CELLS]
+        pairs.append(np.column_stack((linked, k[linked])))
+    group = groups_of(len(keys), np.concatenate(pairs))
+    large = np.flatnonzero(np.bincount(group) >= MIN_CELLS)
+    return [_cells_of(keys[group == one]) for one in large]
 
 
 def _steps(cells: int) -> Cells:

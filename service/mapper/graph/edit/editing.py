@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.counted import counted
 from service.geometry import poses as se2
+from service.geometry.groups import groups_of
 from service.geometry.polygons import is_inside
 from service.geometry.poses import Floats
 from service.mapper.by_hand import BECOMES, DRAWN_WALL, Drawing
@@ -19,7 +18,7 @@ from service.mapper.graph.gnss.anchoring import Anchoring
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
 from service.mapper.graph.loops.stored_graph import saved_graph
 from service.mapper.graph.model.keyframe_list import LoopsConfig
-from service.mapper.graph.model.pose_graph import PoseGraph, groups_of
+from service.mapper.graph.model.pose_graph import PoseGraph
 from service.mapper.loop_evidence import BY_HAND, RefusedLoops
 from service.mapper.saved_graph import SavedGraph
 
@@ -48,17 +47,11 @@ def with_area_erased(
     """The graph without the points within a polygon (C, 2) m of the map, and the number of these points.
     Later key frames may fill the area again.
     """
-    of = np.repeat(np.arange(len(graph)), graph.point_count)
-    gone = is_inside(se2.points_from(graph.map[of], graph.xy_base.astype(np.float64)), corners_map)
+    _, xy_map = graph.points()
+    gone = is_inside(xy_map, corners_map)
     drawing = Drawing(BECOMES[becomes], len(graph), corners_map)
-    erased = replace(
-        graph,
-        point_count=np.bincount(of[~gone], minlength=len(graph)).astype(np.int64),
-        xy_base=graph.xy_base[~gone],
-        normals=graph.normals[~gone],
-        by_hand=graph.by_hand.with_drawing(drawing, graph.map),
-    )
-    return erased, int(gone.sum())
+    by_hand = graph.by_hand.with_drawing(drawing, graph.map)
+    return replace(graph.without_points(gone), by_hand=by_hand), int(gone.sum())
 
 
 def without_time(graph: SavedGraph, from_ns: int, to_ns: int, is_bridged: bool) -> SavedGraph:
@@ -85,17 +78,14 @@ def only(graph: SavedGraph, is_kept: npt.NDArray[np.bool_]) -> SavedGraph:
     number = np.cumsum(is_kept) - 1
     loops_kept = is_kept[graph.loop_ends].all(axis=1)
     points_kept = np.repeat(is_kept, graph.point_count)
-    per_frame = (
-        "stamp_ns odom map path_length_m covariance score gap_s segment is_lost range_sigma_m sensor_xy_m "
-        "point_count"
-    )
+    loops = graph.of_loops(loops_kept)
+    loops["loop_ends"] = number[loops["loop_ends"]]
     return replace(
         graph,
-        **{name: getattr(graph, name)[is_kept] for name in per_frame.split()},
+        **graph.of_keyframes(is_kept),
         xy_base=graph.xy_base[points_kept],
         normals=graph.normals[points_kept],
-        **_loops_of(graph, loops_kept),
-        loop_ends=number[graph.loop_ends[loops_kept]],
+        **loops,
         refused=graph.refused.renumbered(number, is_kept),
         by_hand=graph.by_hand.without_keyframes(is_kept, graph.map),
     )
@@ -148,20 +138,13 @@ def without_loops(graph: SavedGraph, numbers: Sequence[int]) -> SavedGraph:
     kept = np.setdiff1d(np.arange(count), numbers)
     remaining = replace(
         graph,
-        **_loops_of(graph, kept),
-        loop_ends=graph.loop_ends[kept],
+        **graph.of_loops(kept),
         refused=graph.refused.followed_by(_refused(graph, numbers)),
     )
     _refuse_if_disconnected(
         groups(graph), remaining, "--add-pair connects them, or cut one of them away first"
     )
     return remaining
-
-
-def _loops_of(graph: SavedGraph, kept: Any) -> dict[str, Any]:
-    """Fields of some loops of the graph, except loop_ends."""
-    names = ("loop_measured", "loop_covariance", "loop_score", "loop_points", "loop_against")
-    return {name: getattr(graph, name)[kept] for name in names}
 
 
 def solved(graph: SavedGraph, renderer: MapRenderer) -> Solved:
@@ -199,11 +182,11 @@ def graph_of(graph: SavedGraph) -> PoseGraph:
 
 def groups(graph: SavedGraph) -> npt.NDArray[np.int64]:
     """(N,) connected component of each key frame by odometry, loops and pairs: its lowest key frame."""
-    joined = [*graph.loop_ends.tolist(), *graph.by_hand.pair_ends.tolist()]
+    joined = [graph.loop_ends, graph.by_hand.pair_ends]
     for segment in np.unique(graph.segment):
-        own = np.flatnonzero(graph.segment == segment).tolist()
-        joined += pairwise(own)
-    return np.array(groups_of(len(graph), joined), np.int64)
+        own = np.flatnonzero(graph.segment == segment)
+        joined.append(np.column_stack((own[:-1], own[1:])))
+    return groups_of(len(graph), np.concatenate(joined))
 
 
 def _refused(graph: SavedGraph, numbers: Sequence[int]) -> RefusedLoops:
@@ -260,9 +243,8 @@ def _named(graph: SavedGraph, own: npt.NDArray[np.int64], first_ns: int) -> str:
 
 def _observing_keyframe(graph: SavedGraph, xy_map: Floats, among: npt.NDArray[np.bool_], what: str) -> int:
     """Of some key frames the one with the point nearest to a point of the map; of equals the nearest one."""
-    of = np.repeat(np.arange(len(graph)), graph.point_count)
-    xy = se2.points_from(graph.map[of], graph.xy_base.astype(np.float64))
-    away_m = np.where(among[of], np.hypot(*(xy - xy_map).T), np.inf)
+    of, seen_map = graph.points()
+    away_m = np.where(among[of], np.hypot(*(seen_map - xy_map).T), np.inf)
     if not len(away_m) or away_m.min() > SEEN_WITHIN_M:
         raise EditError(
             f"{what} at ({xy_map[0]:.2f}, {xy_map[1]:.2f}) m was seen by no key frame within "

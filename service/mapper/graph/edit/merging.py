@@ -15,7 +15,7 @@ from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.relocalise.detached_search import CandidatePose, DetachedSearch
 from service.mapper.graph.relocalise.place_search import SAME_PLACE_M, is_same_place, is_same_pose
-from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
+from service.mapper.saved_graph import KEYFRAME_ROWS, LOOP_ROWS, SESSION_APART_M, SavedGraph
 
 QUERY_EVERY_M = 4.0  # of path in the second graph; loops every 2 m add nothing on intel
 MERGE_AGREE_RAD = 0.05  # two results within SAME_PLACE_M and this agree, plus AGREE_GROWTH
@@ -89,30 +89,20 @@ def together(first: SavedGraph, *others: SavedGraph) -> SavedGraph:
     graphs = (first, *others)
     before = np.cumsum([0, *(len(graph) for graph in graphs)]).tolist()
     path_length_m, segment = [first.path_length_m], [first.segment]
-    refused, by_hand = first.refused, first.by_hand
+    ends, refused, by_hand = [first.loop_ends], first.refused, first.by_hand
     for graph, count in zip(others, before[1:], strict=False):
         path_length_m.append(
             graph.path_length_m - graph.path_length_m[0] + path_length_m[-1][-1] + SESSION_APART_M
         )
         segment.append(graph.segment - graph.segment.min() + segment[-1].max() + 1)
+        ends.append(graph.loop_ends + count)
         refused = refused.followed_by(replace(graph.refused, ends=graph.refused.ends + count))
         by_hand = by_hand.followed_by(graph.by_hand, count)
-
-    def joined(name: str) -> np.ndarray:
-        return np.concatenate([getattr(graph, name) for graph in graphs])
-
-    names = (
-        "stamp_ns odom map covariance score gap_s is_lost range_sigma_m sensor_xy_m point_count xy_base "
-        "normals loop_measured loop_covariance loop_score loop_points loop_against"
-    )
-    ends = [graph.loop_ends + count for graph, count in zip(graphs, before, strict=False)]
+    names = (*KEYFRAME_ROWS, *LOOP_ROWS, "xy_base", "normals")
+    parts = {name: [getattr(graph, name) for graph in graphs] for name in names}
+    parts |= {"path_length_m": path_length_m, "segment": segment, "loop_ends": ends}
     return SavedGraph(
-        **{name: joined(name) for name in names.split()},
-        path_length_m=np.concatenate(path_length_m),
-        segment=np.concatenate(segment),
-        loop_ends=np.concatenate(ends),
-        refused=refused,
-        by_hand=by_hand,
+        **{name: np.concatenate(arrays) for name, arrays in parts.items()}, refused=refused, by_hand=by_hand
     )
 
 

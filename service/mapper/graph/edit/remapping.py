@@ -1,10 +1,8 @@
 """Replaces a part of a stored graph by a new drive; the rest stays unchanged."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from service.geometry import poses as se2
 from service.geometry.polygons import Cells, is_inside
@@ -13,20 +11,10 @@ from service.geometry.se2 import SE2
 from service.mapper.components import ScanToRender
 from service.mapper.edit_requests import EditError
 from service.mapper.graph.loops.stored_graph import ANCHOR_COVARIANCE
+from service.mapper.graph.model.loops import Loop, loop_arrays
 from service.mapper.saved_graph import SESSION_APART_M, SavedGraph
 
 MIN_KEYFRAME_POINTS = 20  # of a key frame in the area, else it is dropped
-_PER_FRAME = [
-    "stamp_ns",
-    "odom",
-    "map",
-    "covariance",
-    "score",
-    "gap_s",
-    "is_lost",
-    "range_sigma_m",
-    "sensor_xy_m",
-]  # except path length and points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +53,7 @@ def with_area_driven_again(
     the graph moves. Raises EditError if the session observed nothing of the area.
     """
     first = len(graph)
-    of, xy_map = _points(session)
+    of, xy_map = session.points()
     is_new = (of >= first) & ~session.is_lost[of] & is_inside(xy_map, corners_map)
     counts = np.bincount(of[is_new], minlength=len(session))
     kept = np.flatnonzero(counts >= MIN_KEYFRAME_POINTS)
@@ -84,56 +72,36 @@ def with_area_driven_again(
     anchored = np.unique([kept[0], kept[-1]])
     nearest = [int(np.argmin(np.hypot(*(graph.map[:, :2] - session.map[k, :2]).T))) for k in anchored]
     between = se2.between(graph.map[nearest], session.map[anchored])
-    ends = np.column_stack((nearest, first + np.searchsorted(kept, anchored)))
-    count = len(anchored)
+    added = first + np.searchsorted(kept, anchored)
+    loops = [
+        Loop(of, int(to), step, ANCHOR_COVARIANCE, 1.0)
+        for of, to, step in zip(nearest, added, between, strict=True)
+    ]
+    new = session.of_keyframes(kept) | loop_arrays(loops)
+    new |= {
+        "path_length_m": path_length_m,
+        "segment": np.full(len(kept), graph.segment.max() + 1),
+        "point_count": counts[kept],
+        "xy_base": session.xy_base[is_new],
+        "normals": session.normals[is_new],
+    }
+    joined = {name: np.concatenate((getattr(less, name), array)) for name, array in new.items()}
     return Remapped(
-        replace(
-            less,
-            **{name: _joined(less, session, name, kept) for name in _PER_FRAME},
-            path_length_m=np.concatenate((graph.path_length_m, path_length_m)),
-            segment=np.concatenate((graph.segment, np.full(len(kept), graph.segment.max() + 1))),
-            point_count=np.concatenate((less.point_count, counts[kept])),
-            xy_base=np.concatenate((less.xy_base, session.xy_base[is_new])),
-            normals=np.concatenate((less.normals, session.normals[is_new])),
-            loop_ends=np.concatenate((graph.loop_ends, ends)),
-            loop_measured=np.concatenate((graph.loop_measured, between)),
-            loop_covariance=np.concatenate(
-                (graph.loop_covariance, np.tile(ANCHOR_COVARIANCE, (count, 1, 1)))
-            ),
-            loop_score=np.concatenate((graph.loop_score, np.ones(count))),
-            loop_points=np.concatenate((graph.loop_points, np.zeros(count, np.int64))),
-            loop_against=np.concatenate((graph.loop_against, np.full(count, np.nan))),
-        ).checked(),
+        replace(less, **joined).checked(),
         len(kept),
         gone,
         int(is_new.sum()),
     )
 
 
-def _points(graph: SavedGraph) -> tuple[npt.NDArray[np.int64], Floats]:
-    """The key frame of each point, and its position in the map, (M, 2) m."""
-    of = np.repeat(np.arange(len(graph)), graph.point_count)
-    return of, se2.points_from(graph.map[of], graph.xy_base.astype(np.float64))
-
-
 def _without_points_in(graph: SavedGraph, cells: Cells, cell_m: float) -> tuple[SavedGraph, int]:
-    of, xy_map = _points(graph)
+    _, xy_map = graph.points()
     where = np.floor(xy_map / cell_m).astype(np.int64)
     low, high = cells.min(axis=0), cells.max(axis=0)
     is_taken = np.zeros(high - low + 1, np.bool_)
     is_taken[tuple((cells - low).T)] = True
     at = where[:, ::-1] - low  # row, column
     near = ((at >= 0) & (at < is_taken.shape)).all(axis=1)
-    gone = np.zeros(len(of), np.bool_)
+    gone = np.zeros(len(xy_map), np.bool_)
     gone[near] = is_taken[tuple(at[near].T)]
-    less = replace(
-        graph,
-        point_count=np.bincount(of[~gone], minlength=len(graph)).astype(np.int64),
-        xy_base=graph.xy_base[~gone],
-        normals=graph.normals[~gone],
-    )
-    return less, int(gone.sum())
-
-
-def _joined(graph: SavedGraph, session: SavedGraph, name: str, kept: npt.NDArray[np.int64]) -> Any:
-    return np.concatenate((getattr(graph, name), getattr(session, name)[kept]))
+    return graph.without_points(gone), int(gone.sum())

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from drivers.counted import counted
 from service.geometry import poses as se2
+from service.geometry.groups import groups_of
 from service.geometry.polygons import is_inside
 from service.geometry.poses import Floats
 from service.mapper.by_hand import BECOMES, DRAWN_WALL, ByHand, Drawing, pairs_of
@@ -34,7 +35,6 @@ from service.mapper.edit_requests import (
 from service.mapper.graph.loops.old_passes import Renumbering
 from service.mapper.graph.model.keyframe_list import KeyframeList, ThinnedScan
 from service.mapper.graph.model.loops import Loop, Refusals
-from service.mapper.graph.model.pose_graph import groups_of
 from service.mapper.loop_evidence import BY_HAND, points_of
 
 MAX_UNDONE = 50  # changes kept for undo
@@ -206,7 +206,7 @@ class LiveEdits:
             raise EditError(f"no accepted loop joins the key frames {of} and {to} any more")
         segments, segment = np.unique(self._keyframes.segment, return_inverse=True)
         left = [(loop.of, loop.to) for loop in loops if loop not in gone] + before.pair_ends.tolist()
-        group = groups_of(len(segments), segment[np.array(left, np.int64).reshape(-1, 2)].tolist())
+        group = groups_of(len(segments), segment[np.array(left, np.int64)])
         if group[segment[of]] != group[segment[to]]:
             raise EditError(
                 "only this loop joins a part of the map that was begun after the vehicle was lost; "

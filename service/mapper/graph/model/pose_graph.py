@@ -7,7 +7,6 @@ Source: Zhang et al. 2016, eq. 3-5 (odometry and landmark terms); Dellaert and K
 perception, 2017.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -157,19 +156,3 @@ def bearing_range(xy: Floats, covariance: Floats) -> tuple[float, float, Floats]
 
 def _numbers(values: Floats) -> str:
     return " ".join(repr(float(value)) for value in values)
-
-
-def groups_of(count: int, pairs: Iterable[tuple[int, int]]) -> list[int]:
-    """Lowest index of the connected component of each index below `count`, by pairs of indices."""
-    parent = list(range(count))
-
-    def root(k: int) -> int:
-        while parent[k] != k:
-            parent[k] = parent[parent[k]]
-            k = parent[k]
-        return k
-
-    for a, b in pairs:
-        low, high = sorted((root(a), root(b)))
-        parent[high] = low
-    return [root(k) for k in range(count)]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.geometry import poses as se2
+from service.geometry.groups import groups_of
 from service.geometry.poses import Floats
 from service.mapper.graph.model.pose_graph import (
     UNKNOWN_COVARIANCE,
@@ -13,7 +14,6 @@ from service.mapper.graph.model.pose_graph import (
     GraphError,
     PoseGraph,
     SolverConfig,
-    groups_of,
 )
 
 
@@ -75,13 +75,10 @@ def covariance_of(graph: PoseGraph, k: int) -> Floats:
 
 def _fixed_poses(graph: PoseGraph) -> list[int]:
     """The fixed pose, and the first pose of every group disconnected from it."""
-    count = len(graph.poses)
-    pairs = zip(
-        np.concatenate((graph.edges.of, graph.sightings.of)).tolist(),
-        np.concatenate((graph.edges.to, count + graph.sightings.landmark)).tolist(),
-        strict=True,
-    )
-    group = groups_of(count + len(graph.landmarks), pairs)
+    count, edges, sightings = len(graph.poses), graph.edges, graph.sightings
+    seen = np.column_stack((sightings.of, count + sightings.landmark))
+    pairs = np.concatenate((np.column_stack((edges.of, edges.to)), seen))
+    group = groups_of(count + len(graph.landmarks), pairs).tolist()
     anchors = {group[graph.fixed]: graph.fixed}
     for k in range(count):
         anchors.setdefault(group[k], k)
