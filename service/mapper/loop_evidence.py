@@ -37,6 +37,12 @@ class RefusedLoops:
     against: Floats = field(default_factory=lambda: np.zeros(0))  # (R,) share in free space; NaN: unknown
     reason: Ints = field(default_factory=lambda: np.zeros(0, np.int64))  # (R,) index in WORDS
 
+    @staticmethod
+    def of(loops: Mapping[str, npt.NDArray[Any]], reason: Ints) -> "RefusedLoops":
+        """Loops by their arrays in a SavedGraph, refused for reasons (R,)."""
+        arrays = {f.name: loops[f"loop_{f.name}"] for f in fields(RefusedLoops)[:-1]}
+        return RefusedLoops(**arrays, reason=reason)
+
     def problem(self, keyframes: int) -> str:
         """Why the arrays do not fit a graph of so many key frames; "" if they fit."""
         count = len(self.ends)

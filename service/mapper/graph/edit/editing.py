@@ -191,14 +191,7 @@ def groups(graph: SavedGraph) -> npt.NDArray[np.int64]:
 
 def _refused(graph: SavedGraph, numbers: Sequence[int]) -> RefusedLoops:
     which = np.unique(np.array(numbers, np.int64))
-    return RefusedLoops(
-        graph.loop_ends[which],
-        graph.loop_measured[which],
-        graph.loop_score[which],
-        graph.loop_points[which],
-        graph.loop_against[which],
-        np.full(len(which), BY_HAND),
-    )
+    return RefusedLoops.of(graph.of_loops(which), np.full(len(which), BY_HAND))
 
 
 def _segments_after_cut(

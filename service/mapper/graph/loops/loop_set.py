@@ -8,14 +8,21 @@ import numpy as np
 from service.geometry.poses import Floats
 from service.geometry.se2 import wrap_angle
 from service.mapper.graph.loops.old_passes import Renumbering
-from service.mapper.graph.loops.stored_graph import stored_loops
 from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
-from service.mapper.graph.model.loops import WITHIN_M, Loop, Refusals, agree, as_edges, disagreement
+from service.mapper.graph.model.loops import (
+    WITHIN_M,
+    Loop,
+    Refusals,
+    agree,
+    as_edges,
+    disagreement,
+    loops_of,
+)
 from service.mapper.graph.model.path_drift import PathDrift
 from service.mapper.graph.model.pose_graph import edge_chi2
 from service.mapper.judgement import JUMP_CHI2
 from service.mapper.loop_evidence import BY_HAND, CONTRADICTED, NOT_SUPPORTED
-from service.mapper.saved_graph import SavedGraph
+from service.mapper.saved_graph import LOOP_ROWS, SavedGraph
 
 AGREE_M, AGREE_RAD = 0.15, 0.03  # tolerance between two consistent loops, without drift
 MIN_RESIDUAL_CHI2 = 4.0  # of a loop: two sigmas
@@ -36,7 +43,9 @@ class LoopSet:
         self, config: LoopsConfig, keyframes: KeyframeList, drift: PathDrift, stored: SavedGraph | None
     ) -> None:
         self._config, self._keyframes, self._drift = config, keyframes, drift
-        self.accepted: list[Loop] = [] if stored is None else stored_loops(stored)
+        self.accepted: list[Loop] = []
+        if stored is not None:
+            self.accepted = loops_of(*(getattr(stored, name) for name in LOOP_ROWS))
         self.refusals = Refusals(None if stored is None else stored.refused)
         self._groups: list[list[Loop]] = []  # accepted together, in order, for undo
         self._candidates: list[Loop] = []

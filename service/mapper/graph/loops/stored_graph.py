@@ -21,21 +21,6 @@ MAX_CONTRADICTIONS = 2  # consecutive failed verifications
 ANCHOR_COVARIANCE = np.diag([0.02**2, 0.02**2, 0.005**2])
 
 
-def stored_loops(stored: SavedGraph) -> list[Loop]:
-    return [
-        Loop(int(of), int(to), measured, covariance, float(score), int(points), float(against))
-        for (of, to), measured, covariance, score, points, against in zip(
-            stored.loop_ends,
-            stored.loop_measured,
-            stored.loop_covariance,
-            stored.loop_score,
-            stored.loop_points,
-            stored.loop_against,
-            strict=True,
-        )
-    ]
-
-
 def saved_graph(
     keyframes: KeyframeList,
     loops: Sequence[Loop],

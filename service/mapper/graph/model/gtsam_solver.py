@@ -1,6 +1,7 @@
 """Solves a pose graph by GTSAM; the only module that imports GTSAM."""
 
 from collections.abc import Sequence
+from functools import cache
 
 import gtsam
 import numpy as np
@@ -52,7 +53,6 @@ def _factors(graph: PoseGraph, fixed_poses: list[int]) -> tuple[gtsam.NonlinearF
     tight = gtsam.noiseModel.Isotropic.Sigma(3, FIXED_SIGMA)
     for k in fixed_poses:
         factors.add(gtsam.PriorFactorPose2(k, gtsam.Pose2(*graph.poses[k]), tight))
-    noise = _Noise()
     edges = graph.edges
     for of, to, measured, covariance, width in zip(
         edges.of.tolist(),
@@ -62,7 +62,7 @@ def _factors(graph: PoseGraph, fixed_poses: list[int]) -> tuple[gtsam.NonlinearF
         edges.kernel_width.tolist(),
         strict=True,
     ):
-        factors.add(gtsam.BetweenFactorPose2(of, to, gtsam.Pose2(*measured), noise(covariance, width)))
+        factors.add(gtsam.BetweenFactorPose2(of, to, gtsam.Pose2(*measured), _noise(covariance, width)))
     helpers: dict[int, int] = {}
     aside = gtsam.Pose2(-AUXILIARY_OFFSET_M, 0.0, 0.0)
     sightings = graph.sightings
@@ -85,26 +85,23 @@ def _factors(graph: PoseGraph, fixed_poses: list[int]) -> tuple[gtsam.NonlinearF
         bearing_rad, range_m, of_both = bearing_range(xy, covariance)
         factors.add(
             gtsam.BearingRangeFactor2D(
-                seer, pose_count + landmark, gtsam.Rot2(bearing_rad), range_m, noise(of_both, width)
+                seer, pose_count + landmark, gtsam.Rot2(bearing_rad), range_m, _noise(of_both, width)
             )
         )
     return factors, values
 
 
-class _Noise:
-    """Noise models, with one kernel object per width."""
+def _noise(covariance: Floats, kernel_width: float) -> gtsam.noiseModel.Base:
+    gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
+    if kernel_width == 0.0:
+        return gaussian
+    return gtsam.noiseModel.Robust.Create(_kernel(kernel_width), gaussian)
 
-    def __init__(self) -> None:
-        self._kernels: dict[float, gtsam.noiseModel.mEstimator.Cauchy] = {}
 
-    def __call__(self, covariance: Floats, kernel_width: float) -> gtsam.noiseModel.Base:
-        gaussian = gtsam.noiseModel.Gaussian.Covariance(covariance)
-        if kernel_width == 0.0:
-            return gaussian
-        kernel = self._kernels.get(kernel_width)
-        if kernel is None:
-            kernel = self._kernels[kernel_width] = gtsam.noiseModel.mEstimator.Cauchy.Create(kernel_width)
-        return gtsam.noiseModel.Robust.Create(kernel, gaussian)
+@cache
+def _kernel(width: float) -> gtsam.noiseModel.mEstimator.Cauchy:
+    """One object for all factors of a width."""
+    return gtsam.noiseModel.mEstimator.Cauchy.Create(width)
 
 
 def _optimise(

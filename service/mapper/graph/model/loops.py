@@ -12,7 +12,7 @@ import numpy.typing as npt
 from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.mapper.graph.model.keyframe_list import KeyframeList
-from service.mapper.graph.model.pose_graph import Edges
+from service.mapper.graph.model.pose_graph import Edges, Ints
 from service.mapper.loop_evidence import BY_HAND, RefusedLoops
 
 FLOOR = np.diag([0.006**2, 0.006**2, 0.0015**2])  # m^2, rad^2: systematic error of walls and sweeps
@@ -70,7 +70,7 @@ def as_edges(loops: Sequence[Loop]) -> Edges:
 
 
 def loop_arrays(loops: Sequence[Loop]) -> dict[str, npt.NDArray[Any]]:
-    """Loops as the fields of a SavedGraph; inverse of stored_loops."""
+    """Loops as the arrays of a SavedGraph."""
     edges = as_edges(loops)
     return {
         "loop_ends": np.column_stack((edges.of, edges.to)).astype(np.int64),
@@ -80,6 +80,12 @@ def loop_arrays(loops: Sequence[Loop]) -> dict[str, npt.NDArray[Any]]:
         "loop_points": np.array([loop.points for loop in loops], np.int64),
         "loop_against": np.array([loop.against for loop in loops], np.float64),
     }
+
+
+def loops_of(ends: Ints, measured: Floats, covariance: Floats, *figures: npt.NDArray[Any]) -> list[Loop]:
+    """Inverse of loop_arrays. figures: score, points and against."""
+    rows = zip(ends.tolist(), measured, covariance, *(of_all.tolist() for of_all in figures), strict=True)
+    return [Loop(of, to, *others) for (of, to), *others in rows]
 
 
 def disagreement(keyframes: KeyframeList, loop: Loop) -> tuple[float, float]:
@@ -112,18 +118,13 @@ class Refusals:
 
     def __init__(self, stored: RefusedLoops | None = None) -> None:
         self._by_ends: OrderedDict[tuple[int, int], tuple[Loop, int]] = OrderedDict()
-        stored = stored or RefusedLoops()
-        for k, (of, to) in enumerate(stored.ends.tolist()):
-            loop = Loop(
-                of,
-                to,
-                stored.measured[k],
-                np.zeros((3, 3)),  # not used
-                float(stored.score[k]),
-                int(stored.points[k]),
-                float(stored.against[k]),
+        if stored is not None:
+            unused = np.zeros((len(stored.ends), 3, 3))  # covariances
+            loops = loops_of(
+                stored.ends, stored.measured, unused, stored.score, stored.points, stored.against
             )
-            self._by_ends[of, to] = loop, int(stored.reason[k])
+            for loop, reason in zip(loops, stored.reason.tolist(), strict=True):
+                self.add([loop], reason)
 
     def add(self, loops: Iterable[Loop], reason: int) -> None:
         """reason: of service.mapper.loop_evidence."""
@@ -147,11 +148,5 @@ class Refusals:
         """Loops that are not accepted."""
         accepted_ends = {(loop.of, loop.to) for loop in accepted}
         left = [one for ends, one in self._by_ends.items() if ends not in accepted_ends]
-        return RefusedLoops(
-            np.array([(loop.of, loop.to) for loop, _ in left], np.int64).reshape(-1, 2),
-            np.array([loop.measured for loop, _ in left], np.float64).reshape(-1, 3),
-            np.array([loop.share for loop, _ in left], np.float64),
-            np.array([loop.points for loop, _ in left], np.int64),
-            np.array([loop.against for loop, _ in left], np.float64),
-            np.array([reason for _, reason in left], np.int64),
-        )
+        reasons = np.array([reason for _, reason in left], np.int64)
+        return RefusedLoops.of(loop_arrays([loop for loop, _ in left]), reasons)
