@@ -86,11 +86,11 @@ class SavedGraph:
     def __len__(self) -> int:
         return len(self.stamp_ns)
 
-    def of_keyframes(self, which: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+    def of_keyframes(self, which: Any) -> dict[str, Any]:
         """The arrays of KEYFRAME_ROWS for some key frames."""
         return {name: getattr(self, name)[which] for name in KEYFRAME_ROWS}
 
-    def of_loops(self, which: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+    def of_loops(self, which: Any) -> dict[str, Any]:
         """The arrays of LOOP_ROWS for some loops."""
         return {name: getattr(self, name)[which] for name in LOOP_ROWS}
 

@@ -1,6 +1,7 @@
 """Replaces a part of a stored graph by a new drive; the rest stays unchanged."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -85,7 +86,9 @@ def with_area_driven_again(
         "xy_base": session.xy_base[is_new],
         "normals": session.normals[is_new],
     }
-    joined = {name: np.concatenate((getattr(less, name), array)) for name, array in new.items()}
+    joined: dict[str, Any] = {
+        name: np.concatenate((getattr(less, name), array)) for name, array in new.items()
+    }
     return Remapped(
         replace(less, **joined).checked(),
         len(kept),

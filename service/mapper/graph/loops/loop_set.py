@@ -15,13 +15,12 @@ from service.mapper.graph.model.loops import (
     Refusals,
     agree,
     as_edges,
-    disagreement,
     loops_of,
 )
 from service.mapper.graph.model.path_drift import PathDrift
 from service.mapper.graph.model.pose_graph import edge_chi2
 from service.mapper.judgement import JUMP_CHI2
-from service.mapper.loop_evidence import BY_HAND, CONTRADICTED, NOT_SUPPORTED
+from service.mapper.loop_evidence import BY_HAND, CONTRADICTED, NOT_SUPPORTED, residuals
 from service.mapper.saved_graph import LOOP_ROWS, SavedGraph
 
 AGREE_M, AGREE_RAD = 0.15, 0.03  # tolerance between two consistent loops, without drift
@@ -159,14 +158,11 @@ class SolutionDue:
             path_length_m[loop.to] > self._solved_m for loop in loops
         ):
             return True
-        newest = [loop for loop in loops if path_length_m[loop.to] > path_length_m[-1] - WITHIN_M]
-        for loop, chi2 in zip(newest, edge_chi2(as_edges(newest), keyframes.map).tolist(), strict=True):
-            off_m, off_rad = disagreement(keyframes, loop)
-            if (
-                off_m > self._config.solve_at_m and chi2 > MIN_RESIDUAL_CHI2
-            ) or off_rad > self._config.solve_at_rad:
-                return True
-        return False
+        newest = as_edges([loop for loop in loops if path_length_m[loop.to] > path_length_m[-1] - WITHIN_M])
+        off_m, off_rad = residuals(keyframes.map, np.column_stack((newest.of, newest.to)), newest.measured)
+        is_significant = edge_chi2(newest, keyframes.map) > MIN_RESIDUAL_CHI2
+        is_off = (off_m > self._config.solve_at_m) & is_significant | (off_rad > self._config.solve_at_rad)
+        return bool(is_off.any())
 
     def solved(self, path_length_m: float, before: Floats, after: Floats) -> None:
         """Record a solution that moved the key frames from `before`, (N, 3), to `after`."""

@@ -88,13 +88,6 @@ def loops_of(ends: Ints, measured: Floats, covariance: Floats, *figures: npt.NDA
     return [Loop(of, to, *others) for (of, to), *others in rows]
 
 
-def disagreement(keyframes: KeyframeList, loop: Loop) -> tuple[float, float]:
-    """Residual of a loop in the map, m and rad."""
-    here = se2.between(keyframes.map[loop.of], keyframes.map[loop.to])
-    error = se2.between(loop.measured, here)
-    return float(np.hypot(error[0], error[1])), float(abs(error[2]))
-
-
 def agree(
     keyframes: KeyframeList, a: Loop, b: Loop, base: tuple[float, float], growth: tuple[float, float]
 ) -> bool:

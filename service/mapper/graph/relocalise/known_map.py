@@ -44,7 +44,8 @@ from service.mapper.graph.model.candidate_submap import (
 )
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.point_clouds import CELL_M, Fit, PointCloud, SurfelSet, joined
-from service.mapper.matchers.window_search import thinned, window_around
+from service.mapper.maps.occupancy import EVIDENCE
+from service.mapper.matchers.window_search import SEARCH_BEAMS, thinned, window_around
 
 COARSE_CELL_M, MAP_SEARCH_LEVELS = 0.2, 5  # blocks of 3.2 m, each with one candidate
 HEADINGS = 210  # 0.03 rad apart: 0.22 m at LOOP_REACH_M, a cell
@@ -56,10 +57,8 @@ SAMPLING_NATS = 0.15  # a beam: error of the evidence of so few points, in so co
 MIN_MARGIN_NATS, UNEXPLAINED_SHARE = 20.0, 0.5
 MAX_CANDIDATES = 240
 REFINE_WINDOW = (0.3, 0.03, 0.006)  # m, rad around a candidate; step in rad
-REFINING_POINTS = 150
 # m, m, rad of the first steps of a climb, and factor of the last ones.
 CLIMB_STEPS, MIN_CLIMB_STEP = np.array([0.06, 0.06, 0.012]), 1.0 / 16.0
-ALONG_M = 1.6  # range along walls to each side of a place, in steps of a cell
 ALONG_SHARE = 0.9  # of the inlier ratio at the place, for a place beside it
 ON_MAP_RATIO = 0.5 * MAX_LOG_RATIO  # nats: a beam above it ends on a mapped object
 # Limit of the evidence of one wall or object, nats. Buildings have straight walls on new ground, too, so all
@@ -70,7 +69,6 @@ MAX_QUERY = 12  # key frames of a query
 # Least share of the beams on the map, and on walls of those on known ground. From new viewpoints, and near
 # new ground, much of the query is unmapped.
 MIN_ON_MAP, MIN_AGREEING = 0.3, 0.90
-SEEN_THROUGH_EVIDENCE = -10  # log-odds of a cell through which a beam passed without a hit
 
 
 def margin_of(unexplained: float) -> float:
@@ -171,7 +169,7 @@ class KnownMap:
         """
         poses = window_around(near, window, self._field, REFINE_WINDOW[2])
         is_near = (seen.cloud.xy**2).sum(axis=1) < LOOP_REACH_M**2
-        thin = thinned(seen.cloud.xy[is_near], REFINING_POINTS)
+        thin = thinned(seen.cloud.xy[is_near], SEARCH_BEAMS)
         found = search_branch_and_bound(thin, self._field, poses, -math.inf)
         return self._aligned(seen, found.pose, least)
 
@@ -196,12 +194,14 @@ class KnownMap:
         return Aligned(Fit(pose, again.fit.information, again.fit.share), self.score(seen, pose))
 
     def along(self, seen: SeenCloud, aligned: Aligned, evidence: float = -math.inf) -> list[Aligned]:
-        """Alignments beside a place, along its least certain direction. evidence: `least` of score."""
+        """Alignments beside a place, each cell along its least certain direction, up to half a block of the
+        search away. evidence: `least` of score.
+        """
         of_pose = aligned.fit.information
         turning = np.outer(of_pose[:2, 2], of_pose[2, :2]) / max(float(of_pose[2, 2]), 1e-9)
         known = of_pose[:2, :2] - turning
         axis = np.append(np.linalg.eigh(known)[1][:, 0], 0.0)
-        steps = np.arange(CELL_M, ALONG_M + 0.5 * CELL_M, CELL_M)
+        steps = np.arange(CELL_M, COARSE_CELL_M * (1 << MAP_SEARCH_LEVELS - 2) + 0.5 * CELL_M, CELL_M)
         beside = [
             self._walls.align(seen.cloud, aligned.fit.pose + off_m * axis) for off_m in [*-steps, *steps]
         ]
@@ -292,7 +292,7 @@ def _is_free(ground: OccupancyGrid, pyramid: FacingPyramid) -> npt.NDArray[np.bo
     for i, j in np.argwhere(ground.tiles.slots != NO_TILE).tolist():
         row = (i + int(ground.tiles.origin[0])) * edge - times * pyramid.first_row
         column = (j + int(ground.tiles.origin[1])) * edge - times * pyramid.first_column
-        of = ground.evidence[ground.tiles.slots[i, j]] <= SEEN_THROUGH_EVIDENCE
+        of = ground.evidence[ground.tiles.slots[i, j]] <= EVIDENCE.miss
         low_row, low_column = max(row, 0), max(column, 0)
         part = of[low_row - row :, low_column - column :]
         to = free[low_row : row + edge, low_column : column + edge]
@@ -327,7 +327,7 @@ def _known_ground_of(
         cells_with_walls(walls),
         through_count,
         ground,
-        SEEN_THROUGH_EVIDENCE,
+        EVIDENCE.miss,
         points,
         int(low[1]),
         int(low[0]),
