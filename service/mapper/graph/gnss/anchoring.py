@@ -36,7 +36,6 @@ NEWEST_FIXES = 40  # fixes by which the map's position is checked
 SOLVE_AT_M = 0.5  # their mean residual, and one sigma, that makes a solution worth while
 FIX_KERNEL_SIGMAS = 3.0  # Cauchy, in sigmas
 HEADING_SIGMA_RAD = 100.0  # of a fix: it does not measure the heading
-MIN_EDGE_WEIGHT = 1e-6  # in the solver; edges below are omitted
 CORRELATED_S = 120.0  # duration of fixes that make one measurement: twice the correlation time
 JUMP_M = 1.5  # plus JUMP_SIGMAS: a larger change of error between fixes is a jump (satellites change)
 JUMP_SIGMAS = 0.5  # of the larger sigma of both fixes
@@ -172,7 +171,7 @@ def _weights(chi2: Floats, mu: float) -> Floats:
 
 def _graph(path: FixPath, poses: Floats, weight: Floats) -> PoseGraph:
     count = len(path.odom)
-    used = np.flatnonzero(weight > MIN_EDGE_WEIGHT)
+    used = np.flatnonzero(weight > 0.0)
     heading = poses[used, 2] - poses[-1, 2]
     covariance = path.covariance[used] * (path.repeats[used] / weight[used])[:, None, None]
     fixes = fix_edges(count, used, heading, path.antenna[used], path.enu[used], covariance, 0.0)
@@ -318,22 +317,14 @@ class Anchoring:
     @property
     def pose_map_enu(self) -> Floats:
         """(3,) pose of the ENU frame in the map, by the newest solution."""
-        pose = self._pose_enu_map.inverse()
-        return np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        return np.array(self._pose_enu_map.inverse())
 
     def solved(self, pose_map_enu: Floats) -> None:
         """Take the pose of the ENU frame from a solution with the edges."""
         assert self.reference is not None
         assert self._consensus is not None
-        old = self.reference
         self._in_map = frozenset(self._among[self._consensus.is_accepted].tolist())
-        self.reference = GeoReference(
-            old.origin,
-            SE2(*pose_map_enu.tolist()).inverse(),
-            old.position_sigma_m,
-            old.yaw_sigma_rad,
-            old.fixes,
-        )
+        self.reference = replace(self.reference, pose_enu_map=SE2(*pose_map_enu.tolist()).inverse())
 
     def _is_worth_it(self, keyframes: KeyframeList) -> bool:
         """Whether a fix in the map is no longer accepted, or the newest ones have a common residual."""
@@ -372,7 +363,7 @@ class Anchoring:
         """Key frame (M,) of each fix, and the antenna (M, 2) in its frame."""
         fixes = [self._fixes[k] for k in which]
         keyframe = np.array([fix.keyframe for fix in fixes], np.int64)
-        base = np.array([(p.x_m, p.y_m, p.theta_rad) for p in (fix.pose_odom_base for fix in fixes)])
+        base = np.array([fix.pose_odom_base for fix in fixes])
         antenna = np.array([fix.antenna_xy_m for fix in fixes])
         return keyframe, se2.points_from(se2.between(keyframes.odom[keyframe], base), antenna)
 

@@ -198,8 +198,7 @@ class KeyframeList:
         """(3,) pose of a new key frame in the map, by odometry since the newest one of its segment; if it
         begins a segment, since the newest one.
         """
-        pose = frame.pose_odom_base
-        odom = np.array([pose.x_m, pose.y_m, pose.theta_rad])
+        odom = np.array(frame.pose_odom_base)
         if self.count == self.stored:
             return odom
         same = np.flatnonzero(self.segment[self.stored :] == frame.segment)
@@ -217,7 +216,7 @@ class KeyframeList:
             path_length_m = self.path_length_m[-1] + step_m
         known = frame.motion_covariance
         self._rows[self.count] = (
-            (pose.x_m, pose.y_m, pose.theta_rad),
+            pose,
             pose_map,
             path_length_m,
             frame.score,

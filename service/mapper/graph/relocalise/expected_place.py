@@ -22,7 +22,7 @@ ODOMETRY_PROBABILITY_MEASURED = 0.9  # the same, where odometry measured the mot
 ODOMETRY_PROBABILITY_CONTINUOUS = 0.9999  # the same, without a scan gap: the vehicle was not carried
 # m, m, rad: error of a search result by distortion of the map.
 SEARCH_COVARIANCE = np.diag([0.05**2, 0.05**2, 0.01**2])
-SUBMAP_RADIUS_M, MAX_SUBMAP_KEYFRAMES = 6.0, 40  # key frames around the pose
+SUBMAP_KEYFRAMES = 40  # around the pose, the nearest ones: 12 m of one pass
 MAX_ATTEMPTS = 10  # key frames tried
 
 
@@ -145,11 +145,10 @@ class OperatorPose:
         return se2.compose(found, se2.between(keyframes.odom[reference], np.zeros(3))), loop
 
     def _around(self, known: npt.NDArray[np.int64], pose: Floats) -> CandidateSubmap:
-        """Sub-map of key frames of all passes around a pose (3,) of the map."""
+        """Sub-map of the nearest key frames of all passes around a pose (3,) of the map."""
         keyframes = self._keyframes
         away_m = np.hypot(*(keyframes.map[known, :2] - pose[:2]).T)
-        nearest = known[np.argsort(away_m, kind="stable")[:MAX_SUBMAP_KEYFRAMES]]
-        near = nearest[np.sort(away_m)[:MAX_SUBMAP_KEYFRAMES] <= max(SUBMAP_RADIUS_M, float(away_m.min()))]
+        near = known[np.argsort(away_m, kind="stable")[:SUBMAP_KEYFRAMES]]
         return CandidateSubmap(keyframes, np.sort(near).tolist(), int(near[0]), keyframes.map)
 
     def _loop_near(
