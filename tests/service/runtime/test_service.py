@@ -88,6 +88,7 @@ def open_service(config: ServiceConfig) -> Iterator[Callable[..., Service]]:
     for service in opened:
         if not service.stopped:
             service.stop()
+    gc.freeze()  # as in tests/conftest.py; the end of a service thaws all objects of the process
 
 
 def _with_map(config: ServiceConfig, changes: Any) -> ServiceConfig:
