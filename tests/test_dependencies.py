@@ -1,10 +1,10 @@
 """What the packages import is what pyproject.toml declares: no more, no less."""
 
-import ast
 import re
 import sys
 import tomllib
 from importlib.metadata import packages_distributions
+from itertools import chain
 from pathlib import Path
 
 from packaging.requirements import Requirement
@@ -16,6 +16,10 @@ NAMES = {
     "rerun": "rerun-sdk",
     "upath": "universal-pathlib",
 }  # of distributions that need not be installed here
+# from X.Y import, import X.Y; or, of an extra, optional("X.Y"), see service.offline
+IMPORT = re.compile(
+    r"(?m)^ *from (\w+)[\w.]* import |^ *import (\w+)[\w.]*(?: as \w+)? *(?:#|$)|\boptional\(\"(\w+)"
+)
 FOR_DEVELOPMENT = "dev"  # the extra that the packages themselves may not need
 
 
@@ -25,24 +29,11 @@ def imported() -> dict[str, str]:
     found: dict[str, str] = {}
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
-            for module in modules_of(ast.parse(path.read_text(encoding="utf-8"))):
-                top = module.partition(".")[0]
-                if top not in sys.stdlib_module_names and top not in PACKAGES:
+            for top in chain.from_iterable(IMPORT.findall(path.read_text(encoding="utf-8"))):
+                if top and top not in sys.stdlib_module_names and top not in PACKAGES:
                     name = distributions.get(top, [NAMES.get(top, top)])[0]
                     found.setdefault(plain(name), str(path.relative_to(ROOT)))
     return found
-
-
-def modules_of(tree: ast.Module) -> list[str]:
-    modules = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            modules += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module is not None:
-            modules.append(node.module)
-        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "optional":
-            modules.append(ast.literal_eval(node.args[0]))  # of an extra, see service.offline
-    return modules
 
 
 def plain(requirement: str) -> str:
