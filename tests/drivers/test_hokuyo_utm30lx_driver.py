@@ -15,7 +15,7 @@ from drivers.hokuyo_utm30lx.scans import Scan, ScanRequest, write_scan
 from simulators.device import Sweep
 from simulators.hokuyo_setup import Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
-from tests.drivers.utm30lx import Room, config, talk
+from tests.drivers.utm30lx import NARROW, Room, config, talk
 from tests.drivers.virtual_time import Talk
 from tests.soaked import every_other
 
@@ -142,7 +142,8 @@ def test_error_codes_become_nan_and_counted_reasons():
     ],
 )
 def test_a_device_in_any_state_of_its_start_comes_to_stream(setup, changes):
-    t = talk(setup, **changes).run(16.0)
+    t = talk(setup, **NARROW, **changes)
+    t.run(16.0, until=lambda: len(t.frames) > 40)
     assert t.session.status == "streaming"
     assert "resets" not in t.session.counters
 

@@ -8,12 +8,11 @@ import pytest
 from drivers.hokuyo_utm30lx.driver import HokuyoUtm30lxSession
 from simulators.hokuyo_setup import Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
-from tests.drivers.utm30lx import Room, config
+from tests.drivers.utm30lx import NARROW, Room, config
 from tests.drivers.virtual_time import LateTalk
 from tests.soaked import every_other
 
 MS = 1_000_000
-NARROW = {"first_angle_deg": -20.0, "last_angle_deg": 20.0}  # what it sees is no matter, and quicker made
 
 
 def prompt(seed):

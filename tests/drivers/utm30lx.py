@@ -10,6 +10,8 @@ from simulators.hokuyo_setup import Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
 from tests.drivers.virtual_time import Talk
 
+NARROW = {"first_angle_deg": -20.0, "last_angle_deg": 20.0}  # where what it sees is no matter: quicker made
+
 
 class Room:
     """Ranges that depend on the beam alone, every tenth without echo; remembers what was asked."""
