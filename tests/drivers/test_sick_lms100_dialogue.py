@@ -183,7 +183,8 @@ def test_server_that_answers_with_the_wrong_type_and_nothing_in_it_is_put_up_wit
 
 def test_login_answered_with_nothing_counts_as_accepted():
     answers = {"SCdevicestate": b"\1", "SetAccessMode": b"", "LMDscandata": b"\1", "LMDscandatacfg": b""}
-    assert scripted(Scripted(answers)).run(60.0).frames
+    t = scripted(Scripted(answers))
+    assert t.run(60.0, until=lambda: t.frames != []).frames
 
 
 def test_login_that_is_refused_for_another_reason_than_the_password_is_repeated_and_reported_with_it():
@@ -193,7 +194,7 @@ def test_login_that_is_refused_for_another_reason_than_the_password_is_repeated_
     t = scripted(Scripted(busy))
     t.run(60.0, until=lambda: t.device.heard.count("SetAccessMode") == 2)
     t.device.answers |= {"SetAccessMode": b"\1", "LMDscandata": b"\1", "LMDscandatacfg": b""}
-    assert t.run(60.0).frames
+    assert t.run(60.0, until=lambda: t.frames != []).frames
 
 
 def test_laser_that_never_gets_ready_is_restarted_twice_and_then_reported():
