@@ -165,7 +165,7 @@ def test_errors_and_warnings_stand_in_the_status_and_fade():
     t.run(1.0)
     assert t.session.status == "streaming; error: no scan data; warning: high temperature; 31 C"
     assert t.session.counters["error: no scan data"] == 1
-    t.run(20.0)
+    t.run(20.0, until=lambda: t.session.status == "streaming; 31 C")
     assert t.session.status == "streaming; 31 C"
 
 

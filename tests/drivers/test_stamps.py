@@ -92,10 +92,9 @@ def of_lms100(drift_ppm: float, zero_index_after_sweep: bool, first_angle_deg: f
 def of_utm30lx(drift_ppm: float, motor_speed: float) -> Case:
     room = utm30lx.Room()
     setup = Utm30lxSetup(motor_speed=motor_speed, clock_drift_ppm=drift_ppm, clock_start_ms=2**24 - 8_000)
-    narrow = {"first_angle_deg": -20.0, "last_angle_deg": 20.0}
 
     def session(**changes: Any) -> Session:
-        return HokuyoUtm30lxSession(utm30lx.config(**narrow, **changes))
+        return HokuyoUtm30lxSession(utm30lx.config(**utm30lx.NARROW, **changes))
 
     return Case(FakeUtm30lx(room, setup), session, room, (-1.0, 1.0))  # half of it is the device's ms
 
