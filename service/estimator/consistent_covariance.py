@@ -11,16 +11,7 @@ import numpy.typing as npt
 from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
 from service.kernels.estimator import predict_motion, take_match, transfer_into_map
-from service.kernels.filter_state import (
-    COVARIANCE,
-    LOCAL_BLOCK,
-    MAP_BLOCK,
-    STUDENT,
-    Filter,
-    MotionSettings,
-    PackedFilter,
-    views_of,
-)
+from service.kernels.filter_state import LOCAL_BLOCK, MAP_BLOCK, STUDENT, FilterRecord
 from service.kernels.tracks import Track
 
 Matrix = npt.NDArray[np.float64]
@@ -31,81 +22,76 @@ class ConsistentCovariance:
 
     def __init__(self) -> None:
         # Only the covariance is used; the rest is a copy of the estimator's.
-        self._packed: PackedFilter | None = None
+        self._record: FilterRecord | None = None
 
-    def predict(
-        self, packed: PackedFilter, odometry: Track, gyro: Track, stamp_ns: int, settings: MotionSettings
-    ) -> None:
-        """Propagate to the time of a scan; packed: the estimator's state, as of the scan before."""
-        if self._packed is not None:
-            predict_motion(self.view(packed), odometry, gyro, stamp_ns, settings)
+    def predict(self, record: FilterRecord, odometry: Track, gyro: Track, stamp_ns: int) -> None:
+        """Propagate to the time of a scan; record: the estimator's, as of the scan before."""
+        if self._record is not None:
+            predict_motion(self.view(record), odometry, gyro, stamp_ns)
 
-    def switch(self, packed: PackedFilter, is_scan_alone: bool) -> None:
-        """Start, or stop and add to `packed` (as of the prediction) the excess of this covariance."""
-        if is_scan_alone and self._packed is None:
-            self._packed = PackedFilter(packed.numbers.copy(), packed.stamps.copy())
-        elif not is_scan_alone and self._packed is not None:
-            covariance = views_of(packed).covariance
-            own = views_of(self._packed).covariance
+    def switch(self, record: FilterRecord, is_scan_alone: bool) -> None:
+        """Start, or stop and add to `record` (as of the prediction) the excess of this covariance."""
+        if is_scan_alone and self._record is None:
+            self._record = record.copy()
+        elif not is_scan_alone and self._record is not None:
+            covariance, own = record["covariance"][0], self._record["covariance"][0]
             variances, axes = np.linalg.eigh(own[MAP_BLOCK, MAP_BLOCK] - covariance[MAP_BLOCK, MAP_BLOCK])
             covariance[MAP_BLOCK, MAP_BLOCK] += (axes * np.maximum(variances, 0.0)) @ axes.T
-            self._packed = None
+            self._record = None
 
-    def correct(
-        self, packed: PackedFilter, pose: SE2, measured: Measurement, settings: MotionSettings
-    ) -> None:
+    def correct(self, record: FilterRecord, pose: SE2, measured: Measurement) -> None:
         """Apply a match.
 
-        packed  as of the prediction
+        record  as of the prediction
         pose    of prediction and scan together
         """
-        if self._packed is None:
+        if self._record is None:
             return
-        state = views_of(self._packed)
-        state.pose[:] = views_of(packed).pose
-        prior = np.linalg.inv(state.covariance[LOCAL_BLOCK, LOCAL_BLOCK])
-        off = np.array((SE2(*state.pose.tolist()).inverse() @ pose).log())
+        self._record["pose"] = record["pose"]
+        prior = np.linalg.inv(self._record["covariance"][0, LOCAL_BLOCK, LOCAL_BLOCK])
+        off = np.array((SE2(*record["pose"][0].tolist()).inverse() @ pose).log())
         weight = min(1.0, (STUDENT + 3.0) / (STUDENT + float(off @ prior @ off)))  # [12]
         take_match(
-            self._packed,
+            self._record,
             np.array(pose),
             np.linalg.inv(measured.information + weight * prior),
             weight,
             measured.information,
-            settings,
         )
 
     def widen(self, gap: Matrix) -> None:
         """Add a covariance (3, 3) to that of the predicted pose; see Measurement.gap."""
-        if self._packed is not None:
-            widen_pose(views_of(self._packed), gap)
+        if self._record is not None:
+            widen_pose(self._record["covariance"][0], gap)
 
     def add_segment_noise(self, noise: Matrix) -> None:
         """As Measurement.segment_noise."""
-        if self._packed is not None:
-            views_of(self._packed).covariance[MAP_BLOCK, MAP_BLOCK] += noise
+        if self._record is not None:
+            self._record["covariance"][0, MAP_BLOCK, MAP_BLOCK] += noise
 
     def settle(self, share: float) -> None:
         """As MotionModel.settle."""
-        if self._packed is not None:
-            transfer_into_map(views_of(self._packed).covariance, share)
+        if self._record is not None:
+            transfer_into_map(self._record["covariance"][0], share)
 
-    def pose_covariance(self, state: Filter) -> Matrix:
+    def pose_covariance(self, record: FilterRecord) -> Matrix:
         """(3, 3) against the first scan, base axes."""
-        chosen = state if self._packed is None else views_of(self._packed)
-        return chosen.covariance[MAP_BLOCK, MAP_BLOCK].copy()
+        chosen = record if self._record is None else self._record
+        pose_covariance: Matrix = chosen["covariance"][0, MAP_BLOCK, MAP_BLOCK].copy()
+        return pose_covariance
 
-    def view(self, packed: PackedFilter) -> PackedFilter:
+    def view(self, record: FilterRecord) -> FilterRecord:
         """The estimator's state with this covariance; read-only."""
-        if self._packed is None:
-            return packed
-        self._packed.numbers[:COVARIANCE] = packed.numbers[:COVARIANCE]
-        self._packed.stamps[:] = packed.stamps
-        return self._packed
+        if self._record is None:
+            return record
+        own = self._record["covariance"].copy()
+        self._record[:] = record
+        self._record["covariance"] = own
+        return self._record
 
 
-def widen_pose(state: Filter, by: Matrix) -> None:
+def widen_pose(covariance: Matrix, by: Matrix) -> None:
     """Add a covariance (3, 3), base axes, to the pose against the first scan and the local map."""
     for rows in (LOCAL_BLOCK, MAP_BLOCK):
         for columns in (LOCAL_BLOCK, MAP_BLOCK):
-            state.covariance[rows, columns] += by
+            covariance[rows, columns] += by

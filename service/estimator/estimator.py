@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from drivers.frames import ImuSample, OdometrySample
@@ -21,6 +20,7 @@ from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.estimator import (
     MAX_SILENT_S,
     add_scale_error,
+    begin_motion,
     predict_motion,
     take_match,
     transfer_into_map,
@@ -28,23 +28,18 @@ from service.kernels.estimator import (
 from service.kernels.filter_state import (
     ACCELERATION,
     BIAS,
+    FILTER,
     LAG,
     LOCAL_BLOCK,
     MAP_BLOCK,
-    NUMBERS,
     SCALE,
-    STAMPS,
     STATES,
     TURN_SCALE,
     TWIST,
-    Filter,
     MotionSettings,
-    PackedFilter,
-    views_of,
 )
-from service.kernels.source_noise import begin_window
 from service.kernels.sweep import begin_twist, deskew_sweep, motion_at
-from service.kernels.tracks import Track
+from service.kernels.tracks import SPEED_WINDOW_NS, Track
 from service.outputs import NO_REASON, Reason
 
 log = logging.getLogger(__name__)
@@ -60,7 +55,6 @@ NEW_GROUND_M = 0.5  # a rotation of a radian shows as much new ground as this pa
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
 DROPPED_TOGETHER = 64  # samples: a search for the oldest that is needed costs as much as a step
 PAUSE_NS = 1_000_000_000  # of odometry; shorter pauses are bridged without notice
-SPEED_WINDOW_S = 0.05  # to each side of a stamp, over which odometry gives a speed
 MAX_SPEED_MPS, MAX_TURN_RADPS = 30.0, 30.0  # of any vehicle: faster odometry has restarted
 WARNING_INTERVAL_NS = 10_000_000_000
 FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, without odometry
@@ -172,7 +166,6 @@ class Estimator:
             turn_acceleration=config.turn_acceleration,
             acceleration_s=ACCELERATION_S,
             jitter_s=config.odometry_jitter_s,
-            speed_window_s=SPEED_WINDOW_S,
             fault_noise=FAULT_NOISE,
         )
         self._odometry, self._gyro = _Samples(5), _Samples(2)
@@ -186,11 +179,12 @@ class Estimator:
         sigma[TWIST : TWIST + 3] = FIRST_TWIST_SIGMA
         sigma[SCALE] = sigma[TURN_SCALE] = config.odometry_scale_sigma
         sigma[LAG], sigma[BIAS] = config.odometry_lag_sigma_s, config.gyro_bias_sigma_radps
-        self._packed = PackedFilter(np.zeros(NUMBERS), np.zeros(STAMPS, np.int64))
-        self.filter: Filter = views_of(self._packed)
-        self.filter.covariance[:] = np.diag(sigma**2)
-        for noise in (self.filter.noise, self.filter.gyro_noise, self.filter.motion_noise):
-            noise[:] = 1.0
+        self._record = np.zeros(1, FILTER)
+        self.filter: np.void = self._record[0]
+        self.filter["settings"] = self._settings
+        self.filter["covariance"] = np.diag(sigma**2)
+        for noise in ("noise", "gyro_noise", "motion_noise"):
+            self.filter[noise] = 1.0
         self._begin_acceleration()
         self._has_begun = False
         self._origin_ns: int | None = None
@@ -205,8 +199,8 @@ class Estimator:
                 "odometry contradicts the scans (it says the same position again while they move) and is not "
                 "used; is an encoder dead, does its driver repeat its last message?",
             )
-        distance, turns = self.filter.noise.tolist()
-        gyro = float(self.filter.gyro_noise[0])
+        distance, turns = self.filter["noise"].tolist()
+        gyro = float(self.filter["gyro_noise"])
         if max(distance, turns) > FAULT_NOISE:
             source = "distance" if distance >= turns else "turns"
             return Reason(
@@ -224,11 +218,6 @@ class Estimator:
             )
         return NO_REASON
 
-    @property
-    def learnt(self) -> npt.NDArray[np.float64]:
-        """(4,) scale and turn scale of odometry, its lag in s, gyro bias in rad/s."""
-        return self.filter.learnt
-
     def add(self, sample: ImuSample | OdometrySample) -> bool:
         if isinstance(sample, OdometrySample):
             return self._add_odometry(sample)
@@ -239,33 +228,32 @@ class Estimator:
 
     def predict(self, stamp_ns: int) -> Prediction:
         state = self.filter
-        before = SE2(*state.pose.tolist())
+        before = SE2(*state["pose"].tolist())
         pause_s = 0.0
         if not self._has_begun:
             self._has_begun = True
             self._begin(stamp_ns)
         else:
-            self._elapsed_s = (stamp_ns - int(state.stamp_ns[0])) * 1e-9
-            pause_s = self._odometry.longest_pause_s(int(state.stamp_ns[0]), stamp_ns)
+            self._elapsed_s = (stamp_ns - int(state["stamp_ns"])) * 1e-9
+            pause_s = self._odometry.longest_pause_s(int(state["stamp_ns"]), stamp_ns)
             tracks = self._odometry.track, self._gyro.track
-            self._consistent.predict(self._packed, *tracks, stamp_ns, self._settings)
-            predict_motion(self._packed, *tracks, stamp_ns, self._settings)
-            window_ns = round(self._settings.speed_window_s * 1e9)
-            if pause_s > 0.0 and self._odometry.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= window_ns:
+            self._consistent.predict(self._record, *tracks, stamp_ns)
+            predict_motion(self._record, *tracks, stamp_ns)
+            if pause_s > 0.0 and self._odometry.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= SPEED_WINDOW_NS:
                 self._begin_twist(stamp_ns)
         is_unconfirmed_stop, self._is_unconfirmed_stop = self._is_unconfirmed_stop, False
         self._odometry.drop_before(stamp_ns - KEEP_BEFORE_NS)
         self._gyro.drop_before(stamp_ns - KEEP_BEFORE_NS)
-        noise, turn_noise = state.noise.tolist()
-        is_measured = bool(state.increments[3]) and max(noise, turn_noise) <= FAULT_NOISE
-        self._consistent.switch(self._packed, scan_alone(is_measured, noise))
-        local = state.covariance[LOCAL_BLOCK, LOCAL_BLOCK].copy()
-        gain = state.covariance[TWIST : TWIST + 3, LOCAL_BLOCK] @ np.linalg.inv(local)
-        pose = SE2(*state.pose.tolist())
+        noise, turn_noise = self.filter["noise"].tolist()
+        is_measured = bool(state["increment"]["has_odometry"]) and max(noise, turn_noise) <= FAULT_NOISE
+        self._consistent.switch(self._record, scan_alone(is_measured, noise))
+        local = state["covariance"][LOCAL_BLOCK, LOCAL_BLOCK].copy()
+        gain = state["covariance"][TWIST : TWIST + 3, LOCAL_BLOCK] @ np.linalg.inv(local)
+        pose = SE2(*state["pose"].tolist())
         return Prediction(
             pose_odom_base=pose,
             twist_base=self._twist(),
-            covariance=self._consistent.pose_covariance(state),
+            covariance=self._consistent.pose_covariance(self._record),
             local_covariance=local,
             twist_gain=gain,
             elapsed_s=self._elapsed_s,
@@ -282,64 +270,65 @@ class Estimator:
 
     def _increment(self) -> OdometryIncrement | None:
         """The newest odometry increment, with the learnt noise, at least that of the model."""
-        x_m, y_m, turn_rad, is_measured, distance_m2, turn_rad2, gyro_rad, gyro_rad2 = (
-            self.filter.increments.tolist()
-        )
-        if not is_measured or self._elapsed_s <= 0.0:
+        newest = self.filter["increment"].item()
+        has_odometry, has_gyro, step, variance_m2, turn_rad2, gyro_rad, gyro_rad2 = newest
+        if not has_odometry or self._elapsed_s <= 0.0:
             return None
-        distance_noise, turn_noise = self.filter.noise.tolist()
+        x_m, y_m, turn_rad = step.tolist()
+        distance_noise, turn_noise = self.filter["noise"].tolist()
         turn_rad2 *= max(turn_noise, 1.0)
-        if gyro_rad2 > 0.0:
-            gyro_rad2 *= max(float(self.filter.gyro_noise[0]), 1.0)
+        if has_gyro:
+            gyro_rad2 *= max(float(self.filter["gyro_noise"]), 1.0)
             share = turn_rad2 / (turn_rad2 + gyro_rad2)
             turn_rad += share * wrap_angle(gyro_rad - turn_rad)
             turn_rad2 = share * gyro_rad2
-        return OdometryIncrement(SE2(x_m, y_m, turn_rad), distance_m2 * max(distance_noise, 1.0), turn_rad2)
+        return OdometryIncrement(SE2(x_m, y_m, turn_rad), variance_m2 * max(distance_noise, 1.0), turn_rad2)
 
     def _deskew(self, beam_time_s: Matrix, xy_raw: Matrix, xy_base: Matrix) -> None:
         tracks = self._odometry.track, self._gyro.track
-        deskew_sweep(self._packed, *tracks, self._settings, beam_time_s, xy_raw, xy_base)
+        deskew_sweep(self._record, *tracks, beam_time_s, xy_raw, xy_base)
 
     def correct(self, measured: Measurement | None) -> Motion:
         state = self.filter
         if measured is not None and measured.gap is not None:
-            state.path.span[:] = 0  # matched elsewhere: this jump is no motion
-            widen_pose(state, measured.gap)
+            state["path"]["span"] = 0  # matched elsewhere: this jump is no motion
+            widen_pose(state["covariance"], measured.gap)
             self._consistent.widen(measured.gap)
         if measured is not None and measured.segment_noise is not None:
-            state.covariance[MAP_BLOCK, MAP_BLOCK] += measured.segment_noise
+            state["covariance"][MAP_BLOCK, MAP_BLOCK] += measured.segment_noise
             self._consistent.add_segment_noise(measured.segment_noise)
         if measured is not None and self._elapsed_s > 0.0:
             pose, covariance = measured.pose_odom_base, measured.covariance
             if not measured.is_joined:
                 pose, covariance = self._joined(measured)
-            self._consistent.correct(self._packed, pose, measured, self._settings)
+            self._consistent.correct(self._record, pose, measured)
             take_match(
-                self._packed,
+                self._record,
                 np.array(pose),
                 covariance,
                 measured.prior_weight,
                 measured.information,
-                self._settings,
             )
-        elif not state.increments[3]:
-            state.twist[:] = state.twist * math.exp(-self._elapsed_s / FADE_S)
-        return Motion(SE2(*state.pose.tolist()), self._twist(), self._consistent.pose_covariance(state))
+        elif not state["increment"]["has_odometry"]:
+            state["twist"] *= math.exp(-self._elapsed_s / FADE_S)
+        return Motion(
+            SE2(*state["pose"].tolist()), self._twist(), self._consistent.pose_covariance(self._record)
+        )
 
     def moved(self, seconds: float) -> Motion:
         pose, twist, covariance = np.empty(3), np.empty(3), np.empty((3, 3))
         tracks = self._odometry.track, self._gyro.track
-        packed = self._consistent.view(self._packed)
-        motion_at(packed, *tracks, seconds, self._settings, pose, twist, covariance)
+        record = self._consistent.view(self._record)
+        motion_at(record, *tracks, seconds, pose, twist, covariance)
         forward, left, turn = twist.tolist()
-        if self._origin_ns == int(self.filter.stamp_ns[0]) + round(seconds * 1e9):
+        if self._origin_ns == int(self.filter["stamp_ns"]) + round(seconds * 1e9):
             pose[:] = 0.0  # the origin of `odom`, without rounding errors
         return Motion(SE2(*pose.tolist()), (forward, left, turn), covariance)
 
     def _joined(self, measured: Measurement) -> tuple[SE2, Matrix]:
         """Weighted mean of the newest prediction and a pose by the scan alone, and its covariance."""
-        predicted = SE2(*self.filter.pose.tolist())
-        prior = measured.prior_weight * np.linalg.inv(self.filter.covariance[LOCAL_BLOCK, LOCAL_BLOCK])
+        predicted = SE2(*self.filter["pose"].tolist())
+        prior = measured.prior_weight * np.linalg.inv(self.filter["covariance"][LOCAL_BLOCK, LOCAL_BLOCK])
         covariance = np.asarray(np.linalg.inv(prior + measured.information), np.float64)
         off = (predicted.inverse() @ measured.pose_odom_base).log()
         step = SE2.exp(*(covariance @ measured.information @ off).tolist())
@@ -347,29 +336,28 @@ class Estimator:
         return predicted @ step, axes @ covariance @ axes.T
 
     def settle(self, share: float) -> None:
-        transfer_into_map(self.filter.covariance, share)
+        transfer_into_map(self.filter["covariance"], share)
         self._consistent.settle(share)
 
     def _begin(self, stamp_ns: int) -> None:
-        self.filter.stamp_ns[0] = stamp_ns
         self._elapsed_s = 0.0
-        begin_window(self.filter)
+        begin_motion(self._record, stamp_ns)
         first, end = self._odometry.track.span.tolist()
         if end - first >= 2:
             self._begin_twist(stamp_ns)
         if self._origin_ns is not None:
             origin_ns, self._origin_ns = self._origin_ns, None
             origin = self.moved((origin_ns - stamp_ns) * 1e-9).pose_odom_base.inverse()
-            self.filter.pose[:] = origin.x_m, origin.y_m, origin.theta_rad
+            self.filter["pose"] = origin.x_m, origin.y_m, origin.theta_rad
             self._origin_ns = origin_ns
 
     def _begin_twist(self, stamp_ns: int) -> None:
         """Set the twist to odometry's, at the first scan and after a pause; the old twist is discarded."""
         twist = np.zeros(3)
-        begin_twist(self._odometry.track, stamp_ns, self._settings, twist)
+        begin_twist(self._odometry.track, stamp_ns, twist)
         state = self.filter
-        state.twist[:] = state.mean_twist[:] = state.scale_twist[:] = twist
-        covariance = state.covariance
+        state["twist"] = state["mean_twist"] = state["scale_twist"] = twist
+        covariance = state["covariance"]
         covariance[TWIST : TWIST + 3, :] = 0.0
         covariance[:, TWIST : TWIST + 3] = 0.0
         for k in range(3):
@@ -379,16 +367,15 @@ class Estimator:
 
     def _begin_acceleration(self) -> None:
         """Reset the acceleration to zero with its prior covariance; [2]."""
-        state = self.filter
-        rows = slice(ACCELERATION, ACCELERATION + 3)
-        state.acceleration[:] = 0.0
-        state.covariance[rows, :] = 0.0
-        state.covariance[:, rows] = 0.0
+        rows, covariance = slice(ACCELERATION, ACCELERATION + 3), self.filter["covariance"]
+        self.filter["acceleration"] = 0.0
+        covariance[rows, :] = 0.0
+        covariance[:, rows] = 0.0
         density = np.square([self._settings.acceleration] * 2 + [self._settings.turn_acceleration])
-        state.covariance[rows, rows] = np.diag(density / (2.0 * self._settings.acceleration_s))
+        covariance[rows, rows] = np.diag(density / (2.0 * self._settings.acceleration_s))
 
     def _twist(self) -> tuple[float, float, float]:
-        forward, left, turn = self.filter.twist.tolist()
+        forward, left, turn = self.filter["twist"].tolist()
         return forward, left, turn
 
     def _add_odometry(self, sample: OdometrySample) -> bool:
@@ -420,7 +407,7 @@ class Estimator:
     def _begin_odometry(self) -> None:
         """Drop odometry's samples: the motion since the last one is unknown."""
         self._odometry.clear()
-        self.filter.last_odom[7] = 0.0
+        self.filter["odometry_used"]["is_known"] = False
 
     def _has_restarted(self, sample: OdometrySample, last: int) -> bool:
         """Whether odometry has jumped since the previous sample, as after a restart of the base's computer.

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from service.geometry import poses
 from service.geometry.se2 import wrap_angle
-from service.kernels.filter_state import TWIST, Filter
+from service.kernels.filter_state import TWIST
 from service.kernels.tracks import Track
 
 ROUNDING_M, ROUNDING_RAD = 1e-9, 1e-9  # by filters and changes of frame, within some 1000 km of the origin
@@ -49,7 +49,7 @@ class Standstill:
     _stop: _ImpossibleStop | None = None  # until a scan confirms it
 
     def is_repeated(
-        self, pose: tuple[float, float, float], last: npt.NDArray[np.float64], state: Filter
+        self, pose: tuple[float, float, float], last: npt.NDArray[np.float64], state: np.void
     ) -> bool:
         """Whether a sample repeats the last pose (3,): to the last bit, or but for rounding, or but for the
         heading, while the vehicle moves.
@@ -60,14 +60,14 @@ class Standstill:
             return True
         return math.hypot(x_m, y_m) < ROUNDING_M and (self.is_stuck or self._is_moving(state))
 
-    def is_uninformative(self, stamp_ns: int, track: Track, state: Filter, period_s: float) -> bool:
+    def is_uninformative(self, stamp_ns: int, track: Track, state: np.void, period_s: float) -> bool:
         """Whether such a sample is no evidence of standstill.
 
         track      of odometry, up to the sample that was used last
         state      as of the last scan
         period_s   of the scans
         """
-        scan_ns = int(state.stamp_ns[0])
+        scan_ns = int(state["stamp_ns"])
         is_scan_missing = stamp_ns - scan_ns > STUCK_NS
         if is_scan_missing and stamp_ns - scan_ns <= MISSED_SCANS * period_s * 1e9:
             return False  # no scan is expected yet
@@ -86,28 +86,28 @@ class Standstill:
             self.is_stuck = True
         return self.is_stuck or not (self.has_moved or self._is_turning) or self._stop is not None
 
-    def _is_moving(self, state: Filter) -> bool:
+    def _is_moving(self, state: np.void) -> bool:
         """Whether the speed at the last scan (that ahead if the heading changes) is significant."""
-        variance = np.diag(state.covariance)[TWIST : TWIST + 3] + np.square(STANDSTILL_SIGMA)
-        is_moving = np.square(state.twist) > MOVING_SIGMAS**2 * variance
+        variance = np.diag(state["covariance"])[TWIST : TWIST + 3] + np.square(STANDSTILL_SIGMA)
+        is_moving = np.square(state["twist"]) > MOVING_SIGMAS**2 * variance
         return bool(is_moving[0] if self._is_turning else is_moving.any())
 
 
-def _keeps_speed(stop: _ImpossibleStop, state: Filter) -> bool:
+def _keeps_speed(stop: _ImpossibleStop, state: np.void) -> bool:
     """Whether the speed by the scans is closer to that before the stop than to zero."""
-    forward, left, turn = state.twist.tolist()
+    forward, left, turn = state["twist"].tolist()
     keeps_speed = 2.0 * math.hypot(forward, left) > stop.speed_mps > 0.0
     return keeps_speed or 2.0 * abs(turn) > stop.turn_radps > 0.0
 
 
-def _moved_farther(stop: _ImpossibleStop, state: Filter) -> bool:
+def _moved_farther(stop: _ImpossibleStop, state: np.void) -> bool:
     """Whether the scans moved farther since then than odometry reports."""
-    x_m, y_m, theta_rad = poses.between(stop.pose, state.pose).tolist()
+    x_m, y_m, theta_rad = poses.between(stop.pose, state["pose"]).tolist()
     is_farther = math.hypot(x_m, y_m) > stop.path_length_m + STUCK_M
     return is_farther or abs(theta_rad) > stop.turn_rad + STUCK_RAD
 
 
-def _impossible_stop(stamp_ns: int, track: Track, state: Filter, is_turning: bool) -> _ImpossibleStop | None:
+def _impossible_stop(stamp_ns: int, track: Track, state: np.void, is_turning: bool) -> _ImpossibleStop | None:
     """The impossible stop at odometry's newest sample; None: a vehicle can have stopped so.
 
     Both of the last two steps are tested, because odometry may have stood for part of the last one.
@@ -125,11 +125,11 @@ def _impossible_stop(stamp_ns: int, track: Track, state: Filter, is_turning: boo
         brakes_turn = is_turning or turn_radps <= MAX_TURN_BRAKING_RADPS2 * stopped_s
         if brakes and brakes_turn:
             continue
-        lead_s = max((last_ns - int(state.stamp_ns[0])) * 1e-9, 0.0)
+        lead_s = max((last_ns - int(state["stamp_ns"])) * 1e-9, 0.0)
         return _ImpossibleStop(
             speed_mps=0.0 if brakes else speed_mps,
             turn_radps=0.0 if brakes_turn else turn_radps,
-            pose=state.pose.copy(),
+            pose=state["pose"].copy(),
             path_length_m=speed_mps * lead_s,
             turn_rad=math.inf if is_turning else turn_radps * lead_s,
         )

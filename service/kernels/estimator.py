@@ -27,13 +27,11 @@ from service.kernels.filter_state import (
     STEP,
     TURN_SCALE,
     TWIST,
-    MotionSettings,
-    PackedFilter,
-    filter_in,
+    FilterRecord,
 )
 from service.kernels.pose_information import invert_3x3
 from service.kernels.se2 import between, compose, exponential, logarithm
-from service.kernels.source_noise import extend_window, learn_noise, motion_noise_over
+from service.kernels.source_noise import begin_window, extend_window, learn_noise, motion_noise_over
 from service.kernels.tracks import (
     LAG_WINDOW_NS,
     Track,
@@ -96,26 +94,26 @@ def observe(covariance, rows, residual, variance, gain, gate, correction):
     return chi2
 
 
-@kernel(PackedFilter, Track, Track, int, MotionSettings)
-def predict_motion(packed, odometry, gyro, stamp_ns, settings):
+@kernel(FilterRecord, Track, Track, int)
+def predict_motion(record, odometry, gyro, stamp_ns):
     """Propagate to the time of a scan, then apply odometry and gyro as measurements; [3] to [7].
 
-    packed     PackedFilter     in and out
+    record     FilterRecord     in and out
     odometry   Track
     gyro       Track
     stamp_ns   int
-    settings   MotionSettings
     """
-    state = filter_in(packed)
+    state = record[0]
     P = state.covariance
-    last_ns = state.stamp_ns[0]
+    last_ns = state.stamp_ns
     dt = (stamp_ns - last_ns) * 1e-9
-    state.increments[:] = 0.0
+    increment = state.increment
+    increment.has_odometry = increment.has_gyro = False
     if dt <= 0.0:
         return
     tangent = np.empty(3)
     step = np.empty(3)
-    propagate(state, dt, settings, tangent)
+    propagate(state, dt, tangent)
     exponential(tangent[0], tangent[1], tangent[2], step)
     correction = np.zeros(STATES)
     gain = np.empty(STATES)
@@ -126,36 +124,34 @@ def predict_motion(packed, odometry, gyro, stamp_ns, settings):
     scale_twist = state.scale_twist
     new = 1.0 - math.exp(-dt / MEAN_S)
     of_step = 1.0 - math.exp(-((dt / MEAN_S) ** 2))
-    has_gyro = gyro_turn(gyro, last_ns, stamp_ns, settings, turn)
-    has_odometry = odometry_step(state, odometry, last_ns, stamp_ns, settings, change)
-    has_odometry = has_odometry and max(state.noise[0], state.noise[1]) <= settings.fault_noise
+    has_gyro = gyro_turn(gyro, last_ns, stamp_ns, state.settings, turn)
+    has_odometry = odometry_step(state, odometry, last_ns, stamp_ns, change)
+    has_odometry = has_odometry and max(state.noise[0], state.noise[1]) <= state.settings.fault_noise
     if has_odometry:
         # linearised at odometry's step: over a long gap the last speed is far from the truth
         for i in range(3):
-            step[i] = state.increments[i]
+            step[i] = increment.step[i]
         # (rotations are not wrapped: a speed wrong by a turn per scan would remain)
         logarithm(step, odometry_tangent)
         for i in range(3):
             correction[STEP + i] = tangent[i] - odometry_tangent[i]
-        change_of_speed(state, odometry, dt, of_step, settings, change)
+        change_of_speed(state, odometry, dt, of_step, change)
         add_scale_error(P, scale_twist, -1.0, dt)
     if has_gyro:
-        state.increments[6] = turn[0] - state.learnt[3] * dt
-        state.increments[7] = turn[1]
+        increment.has_gyro = True
+        increment.gyro_rad = turn[0] - state.bias_radps * dt
+        increment.gyro_rad2 = turn[1]
         rows[STEP + 2] = 1.0
         rows[TURN_SCALE] = dt * scale_twist[2] if has_odometry else 0.0
         rows[BIAS] = dt
-        residual = state.increments[6] - (step[2] if has_odometry else tangent[2])
-        observe(P, rows, residual, turn[1] * state.gyro_noise[0], gain, CHI2_99_OF_1, correction)
+        residual = increment.gyro_rad - (step[2] if has_odometry else tangent[2])
+        observe(P, rows, residual, turn[1] * state.gyro_noise, gain, CHI2_99_OF_1, correction)
     if has_odometry:
         for axis in range(2, -1, -1):
             rows[:] = 0.0
             rows[STEP + axis] = 1.0
             rows[LAG] = -change[axis]
-            variance = (
-                state.increments[4] * state.noise[0] if axis < 2 else state.increments[5] * state.noise[1]
-            )
-            observe(P, rows, 0.0, variance, gain, CHI2_99_OF_3, correction)
+            observe(P, rows, 0.0, odometry_variance(state, axis), gain, CHI2_99_OF_3, correction)
         for i in range(3):
             of_scale = scale_twist[i] * correction[SCALE if i < 2 else TURN_SCALE]
             correction[TWIST + i] += of_scale
@@ -168,16 +164,33 @@ def predict_motion(packed, odometry, gyro, stamp_ns, settings):
     add_to_state(state, step, correction)
     add_step_error(P, step)
     extend_window(state, math.hypot(step[0], step[1]) + abs(step[2]), dt)
-    state.stamp_ns[0] = stamp_ns
+    state.stamp_ns = stamp_ns
+
+
+@kernel(FilterRecord, int)
+def begin_motion(record, stamp_ns):
+    """Set the time of the first scan and begin the window of the learnt noise."""
+    state = record[0]
+    state.stamp_ns = stamp_ns
+    begin_window(state)
 
 
 @inner_kernel
-def propagate(state, dt, settings, tangent):
+def odometry_variance(state, axis):
+    """Variance of odometry's increment, m^2 or rad^2, with the learnt noise; axis 0, 1: x, y; 2: theta."""
+    if axis < 2:
+        return state.increment.variance_m2 * state.noise[0]
+    return state.increment.variance_rad2 * state.noise[1]
+
+
+@inner_kernel
+def propagate(state, dt, tangent):
     """Propagate twist, acceleration and covariance by dt, and the covariance of the step; [3].
 
     tangent   (3,) float64   out: tangent of the step, m, m, rad
     """
     P = state.covariance
+    settings = state.settings
     over = transition_over(dt, settings.acceleration_s)
     for i in range(3):
         for j in range(STATES):
@@ -234,26 +247,24 @@ def add_scale_error(P, scale_twist, times, dt):
 
 
 @inner_kernel
-def change_of_speed(state, odometry, dt, of_step, settings, change):
+def change_of_speed(state, odometry, dt, of_step, change):
     """Change of speed that the lag of odometry's stamps is multiplied by; [26].
 
     odometry   Track
     dt         float          s, of the step
     of_step    float          0..1: share of the change over the step itself
-    settings   MotionSettings
     change     (3,) float64   in: over the step, by odometry; out
     """
     acceleration = np.empty(3)
-    add_to_path(state.path, state.stamp_ns[0], state.pose)
-    lag_ns = np.int64(round(state.learnt[2] * 1e9))
-    window_s = acceleration_of(state.path, odometry, lag_ns, settings, acceleration)
+    add_to_path(state.path, state.stamp_ns, state.pose)
+    lag_ns = np.int64(round(state.lag_s * 1e9))
+    window_s = acceleration_of(state.path, odometry, lag_ns, acceleration)
     for i in range(3):
         change[i] *= of_step
         if window_s > 0.0:
             seen = acceleration[i] * dt
-            variance = state.increments[4] * state.noise[0] if i < 2 else state.increments[5] * state.noise[1]
             noise = min(
-                2.0 * variance * dt / window_s**3,
+                2.0 * odometry_variance(state, i) * dt / window_s**3,
                 6.0 * state.covariance[LOCAL + i, LOCAL + i] * dt**2 / window_s**4,
             )
             least = MIN_CHANGE_SIGMAS**2 * noise
@@ -280,12 +291,12 @@ def gyro_turn(gyro, last_ns, stamp_ns, settings, turn):
 
 
 @inner_kernel
-def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
-    """Odometry's increment between two times into state.increments; False where it was silent; [5].
+def odometry_step(state, odometry, last_ns, stamp_ns, change):
+    """Odometry's increment between two times into state.increment; False where it was silent; [5].
 
     change   (3,) float64   out: change of odometry's mean speed
     """
-    lag_ns = np.int64(round(state.learnt[2] * 1e9))
+    lag_ns = np.int64(round(state.lag_s * 1e9))
     first = odometry.span[0]
     end = odometry.span[1]
     if (
@@ -293,34 +304,34 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
         or odometry.stamp_ns[end - 1] <= last_ns + min(lag_ns, 0)
         or odometry.stamp_ns[first] > last_ns + lag_ns + np.int64(MAX_SILENT_S * 1e9)
     ):
-        state.last_odom[7] = 0.0
+        state.odometry_used.is_known = False
         return False
     before = np.empty(3)
     after = np.empty(3)
     scratch = np.empty(3)
     twists = np.empty((2, 3))
-    own0, own_turn0, since0, gap0 = odometry_at(odometry, last_ns + lag_ns, settings, before, scratch)
-    own1, own_turn1, since1, gap1 = odometry_at(odometry, stamp_ns + lag_ns, settings, after, scratch)
-    mean_twist(odometry, last_ns + lag_ns, settings, twists[0])
-    mean_twist(odometry, stamp_ns + lag_ns, settings, twists[1])
+    own0, own_turn0, since0, gap0 = odometry_at(odometry, last_ns + lag_ns, before, scratch)
+    own1, own_turn1, since1, gap1 = odometry_at(odometry, stamp_ns + lag_ns, after, scratch)
+    mean_twist(odometry, last_ns + lag_ns, twists[0])
+    mean_twist(odometry, stamp_ns + lag_ns, twists[1])
     step = np.empty(3)
-    last = state.last_odom
-    if last[7] > 0.0:
+    last = state.odometry_used
+    if last.is_known:
         # continue from the pose used last, extrapolated or not: the steps then add up to odometry's motion
-        odometry_at(odometry, last_ns + np.int64(round(last[6] * 1e9)), settings, step, scratch)
+        odometry_at(odometry, last_ns + np.int64(round(last.lag_s * 1e9)), step, scratch)
         between(step, before, step)
-        compose(last[:3], step, before)
+        compose(last.pose, step, before)
         for i in range(3):
-            twists[0, i] = last[3 + i]
+            twists[0, i] = last.twist[i]
     for i in range(3):
-        last[i] = after[i]
-        last[3 + i] = twists[1, i]
-    last[6] = lag_ns * 1e-9
-    last[7] = 1.0
+        last.pose[i] = after[i]
+        last.twist[i] = twists[1, i]
+    last.lag_s = lag_ns * 1e-9
+    last.is_known = True
     between(before, after, step)
     logarithm(step, scratch)
-    scale = 1.0 + state.learnt[0]
-    exponential(scale * scratch[0], scale * scratch[1], (1.0 + state.learnt[1]) * scratch[2], step)
+    scale = 1.0 + state.scale
+    exponential(scale * scratch[0], scale * scratch[1], (1.0 + state.turn_scale) * scratch[2], step)
     d = math.hypot(step[0], step[1])
     turned = abs(step[2])
     dt = (stamp_ns - last_ns) * 1e-9
@@ -329,6 +340,7 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
         d = 0.5 * dt * math.hypot(twists[0, 0] + twists[1, 0], twists[0, 1] + twists[1, 1])
         turned = 0.5 * dt * abs(twists[0, 2] + twists[1, 2])
     bridged = bridge_s3(since0, gap0) + bridge_s3(since1, gap1)
+    settings = state.settings
     late_m = settings.jitter_s * math.hypot(twists[1, 0] - twists[0, 0], twists[1, 1] - twists[0, 1])
     late_rad = settings.jitter_s * (twists[1, 2] - twists[0, 2])
     square_m2 = settings.position_walk**2 * d + settings.resolution_m**2
@@ -339,11 +351,11 @@ def odometry_step(state, odometry, last_ns, stamp_ns, settings, change):
         square_m2 += STANDING_M**2
         square_rad2 += STANDING_RAD**2
     for i in range(3):
-        state.increments[i] = step[i]
+        state.increment.step[i] = step[i]
         change[i] = twists[1, i] - twists[0, i]
-    state.increments[3] = 1.0
-    state.increments[4] = max(square_m2, 0.5 * (own1 - own0))  # the device's own, where it grows
-    state.increments[5] = max(square_rad2, own_turn1 - own_turn0)
+    state.increment.has_odometry = True
+    state.increment.variance_m2 = max(square_m2, 0.5 * (own1 - own0))  # the device's own, where it grows
+    state.increment.variance_rad2 = max(square_rad2, own_turn1 - own_turn0)
     return True
 
 
@@ -353,16 +365,24 @@ def add_to_state(state, step, correction):
     moved = np.empty(3)
     exponential(correction[STEP], correction[STEP + 1], correction[STEP + 2], moved)
     compose(step, moved, step)
-    for i in range(3):
-        state.twist[i] += correction[TWIST + i]
-        state.acceleration[i] += correction[ACCELERATION + i]
-    for i in range(4):
-        state.learnt[i] += correction[SCALE + i]
+    add_beside_pose(state, correction)
     exponential(correction[LOCAL], correction[LOCAL + 1], correction[LOCAL + 2], moved)
     for k in (MAP, LOCAL):
         transform_pose_error(state.covariance, k, moved)
     compose(state.pose, moved, state.pose)
     compose(state.pose, step, state.pose)
+
+
+@inner_kernel
+def add_beside_pose(state, correction):
+    """Add a correction (19,) to all but the pose."""
+    for i in range(3):
+        state.twist[i] += correction[TWIST + i]
+        state.acceleration[i] += correction[ACCELERATION + i]
+    state.scale += correction[SCALE]
+    state.turn_scale += correction[TURN_SCALE]
+    state.lag_s += correction[LAG]
+    state.bias_radps += correction[BIAS]
 
 
 @inner_kernel
@@ -403,7 +423,7 @@ def add_step_error(P, step):
 def correct_motion(state, pose, local_covariance, prior_weight):
     """Correct the state with a matched pose and its covariance against the local map; [9], [10].
 
-    state              Filter           in and out
+    state              record of FILTER in and out
     pose               (3,)   float64   base in odom, of prediction and scan together
     local_covariance   (3, 3) float64   of it
     prior_weight       float            of the prediction in the match; below 1 its covariance is widened
@@ -458,21 +478,18 @@ def correct_motion(state, pose, local_covariance, prior_weight):
                 total += taken[i, k] * (gain[j, k] - used[j, k]) + spent[i, k] * used[j, k]
             P[i, j] -= total
             P[j, i] = P[i, j]
+    add_beside_pose(state, correction)
     for i in range(3):
-        state.twist[i] += correction[TWIST + i]
-        state.acceleration[i] += correction[ACCELERATION + i]
         state.pose[i] = pose[i]
-    for i in range(4):
-        state.learnt[i] += correction[SCALE + i]
     return True
 
 
-@kernel(PackedFilter, Float64_1D, Float64_2D, float, Float64_2D, MotionSettings)
-def take_match(packed, pose, local_covariance, prior_weight, information, settings):
-    """correct_motion, then learn_noise, of the Filter in a PackedFilter."""
-    state = filter_in(packed)
+@kernel(FilterRecord, Float64_1D, Float64_2D, float, Float64_2D)
+def take_match(record, pose, local_covariance, prior_weight, information):
+    """correct_motion, then learn_noise."""
+    state = record[0]
     correct_motion(state, pose, local_covariance, prior_weight)
-    learn_noise(state, information, settings)
+    learn_noise(state, information)
 
 
 @kernel(Float64_2D, float)

@@ -8,8 +8,8 @@ import math
 import numpy as np
 
 from service.geometry.chi2 import CHI2_999_OF_1
-from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.filter_state import BIAS, TWIST, Filter
+from service.kernels.compiled import inner_kernel
+from service.kernels.filter_state import BIAS, TWIST
 from service.kernels.pose_information import invert_3x3, wrap
 from service.kernels.se2 import between, compose
 
@@ -23,76 +23,83 @@ MIN_MOTION_NOISE = (0.02, 0.02, 0.1)
 @inner_kernel
 def extend_window(state, travel_m, dt):
     """Add the increments of the last step to the window."""
-    w = state.window
-    if state.increments[3] > 0.0:
-        compose(w[3:6], state.increments[:3], w[3:6])
-        w[6] += state.increments[4] + w[7] * (state.increments[0] ** 2 + state.increments[1] ** 2)
-        w[7] += state.increments[5]
+    new, total = state.increment, state.window.increment
+    if new.has_odometry:
+        compose(total.step, new.step, total.step)
+        total.variance_m2 += new.variance_m2 + total.variance_rad2 * (new.step[0] ** 2 + new.step[1] ** 2)
+        total.variance_rad2 += new.variance_rad2
     else:
-        w[8] = 0.0
-    if state.increments[7] > 0.0:
-        w[9] += state.increments[6]
-        w[10] += state.increments[7]
+        total.has_odometry = False
+    if new.has_gyro:
+        total.gyro_rad += new.gyro_rad
+        total.gyro_rad2 += new.gyro_rad2
     else:
-        w[11] = 0.0
-    w[12] += travel_m
-    w[13] += dt
-
-
-@kernel(Filter)
-def begin_window(state):
-    state.window[:] = 0.0
-    for i in range(3):
-        state.window[i] = state.pose[i]
-        state.window[14 + i] = state.twist[i]
-        state.window[17 + i] = state.covariance[TWIST + i, TWIST + i]
-    state.window[8] = state.window[11] = 1.0
+        total.has_gyro = False
+    state.window.travel_m += travel_m
+    state.window.elapsed_s += dt
 
 
 @inner_kernel
-def learn_noise(state, information, settings):
+def begin_window(state):
+    window = state.window
+    window.travel_m = window.elapsed_s = 0.0
+    total = window.increment
+    total.has_odometry = total.has_gyro = True
+    total.variance_m2 = total.variance_rad2 = total.gyro_rad = total.gyro_rad2 = 0.0
+    for i in range(3):
+        total.step[i] = 0.0
+        window.pose[i] = state.pose[i]
+        window.twist[i] = state.twist[i]
+        window.twist_variance[i] = state.covariance[TWIST + i, TWIST + i]
+
+
+@inner_kernel
+def learn_noise(state, information):
     """Update the noise of odometry and gyro from their innovations over a window; [18].
 
     A sample is the squared innovation less the scan's variance, over the modelled variance. It weighs by how
     much more certain the scan is than the source.
 
-    state         Filter           in and out
+    state         record of FILTER   in and out
     information   (3, 3) float64   of the scan alone, base axes
-    settings      MotionSettings
     Source: Mehra, On the identification of variances and adaptive Kalman filtering, 1970.
     """
-    w = state.window
-    if w[12] < NOISE_WINDOW_M and w[13] < WINDOW_S:
+    window = state.window
+    if window.travel_m < NOISE_WINDOW_M and window.elapsed_s < WINDOW_S:
         return
     bounded = information.copy()
     for i in range(3):
         bounded[i, i] += 1e-6
     alone = np.zeros((3, 3))
     if invert_3x3(bounded, alone):
+        measured = window.increment
         step = np.empty(3)
-        between(w[:3], state.pose, step)
-        if w[8] > 0.0:
+        between(window.pose, state.pose, step)
+        if measured.has_odometry:
             off = np.empty(3)
-            between(w[3:6], step, off)
+            between(measured.step, step, off)
             weight = total = 0.0
             for axis in range(2):
-                known, squared = noise_sample(off[axis], w[6], state.noise[0], 2.0 * alone[axis, axis])
+                known, squared = noise_sample(
+                    off[axis], measured.variance_m2, state.noise[0], 2.0 * alone[axis, axis]
+                )
                 weight += 0.5 * known
                 total += 0.5 * known * squared
-            adapt(state.noise, 0, weight, total)
-            known, squared = noise_sample(off[2], w[7], state.noise[1], 2.0 * alone[2, 2])
-            adapt(state.noise, 1, known, known * squared)
-        if w[11] > 0.0:
-            known, squared = noise_sample(wrap(step[2] - w[9]), w[10], state.gyro_noise[0], 2.0 * alone[2, 2])
-            if squared > CHI2_999_OF_1 * max(state.gyro_noise[0], 1.0):  # the bias may have jumped
-                state.covariance[BIAS, BIAS] += known * squared * w[10] / w[13] ** 2
-            adapt(state.gyro_noise, 0, known, known * squared)
-    learn_motion(state, settings)
+            state.noise[0] = adapted(state.noise[0], weight, total)
+            known, squared = noise_sample(off[2], measured.variance_rad2, state.noise[1], 2.0 * alone[2, 2])
+            state.noise[1] = adapted(state.noise[1], known, known * squared)
+        if measured.has_gyro:
+            turn = wrap(step[2] - measured.gyro_rad)
+            known, squared = noise_sample(turn, measured.gyro_rad2, state.gyro_noise, 2.0 * alone[2, 2])
+            if squared > CHI2_999_OF_1 * max(state.gyro_noise, 1.0):  # the bias may have jumped
+                state.covariance[BIAS, BIAS] += known * squared * measured.gyro_rad2 / window.elapsed_s**2
+            state.gyro_noise = adapted(state.gyro_noise, known, known * squared)
+    learn_motion(state)
     begin_window(state)
 
 
 @inner_kernel
-def learn_motion(state, settings):
+def learn_motion(state):
     """Update the factor on the variance of the acceleration where only scans measure the motion; [29].
 
     The model covers all vehicles. For a vehicle at steady speed it is too wide: along a corridor, noise of
@@ -100,20 +107,21 @@ def learn_motion(state, settings):
 
     Source: Shumway, Stoffer, An approach to time series smoothing and forecasting using EM, 1982.
     """
-    w = state.window
-    if w[6] > 0.0 or w[7] > 0.0:  # variances: odometry measured a step
+    window = state.window
+    if window.increment.variance_m2 > 0.0 or window.increment.variance_rad2 > 0.0:  # odometry measured a step
         state.motion_noise[:] = 1.0
         return
-    lasting_s = w[13] + settings.acceleration_s * math.expm1(-w[13] / settings.acceleration_s)
-    moved = min(w[12] / NOISE_WINDOW_M, 1.0)
+    settings, elapsed_s = state.settings, window.elapsed_s
+    lasting_s = elapsed_s + settings.acceleration_s * math.expm1(-elapsed_s / settings.acceleration_s)
+    moved = min(window.travel_m / NOISE_WINDOW_M, 1.0)
     for i in range(3):
-        if i == 2 and w[10] > 0.0:
+        if i == 2 and window.increment.gyro_rad2 > 0.0:
             state.motion_noise[i] = 1.0
             continue
         model = lasting_s * (settings.acceleration**2 if i < 2 else settings.turn_acceleration**2)
-        alone = w[17 + i] + state.covariance[TWIST + i, TWIST + i]
+        alone = window.twist_variance[i] + state.covariance[TWIST + i, TWIST + i]
         share = model / (model + alone)
-        sample = ((state.twist[i] - w[14 + i]) ** 2 + alone) / model
+        sample = ((state.twist[i] - window.twist[i]) ** 2 + alone) / model
         noise = state.motion_noise[i]
         noise += moved * share * share * (sample - noise) / NOISE_WINDOWS
         state.motion_noise[i] = min(max(noise, MIN_MOTION_NOISE[i]), 1.0)
@@ -141,6 +149,6 @@ def noise_sample(off, model, noise, alone):
 
 
 @inner_kernel
-def adapt(noise, k, weight, total):
-    noise[k] += (total - weight * noise[k]) / NOISE_WINDOWS
-    noise[k] = min(max(noise[k], MIN_NOISE), MAX_NOISE)
+def adapted(noise, weight, total):
+    """Learnt noise after a sample of a weight; total: weight times sample."""
+    return min(max(noise + (total - weight * noise) / NOISE_WINDOWS, MIN_NOISE), MAX_NOISE)

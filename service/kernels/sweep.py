@@ -15,9 +15,7 @@ from service.kernels.filter_state import (
     MAP,
     STATES,
     TWIST,
-    MotionSettings,
-    PackedFilter,
-    filter_in,
+    FilterRecord,
 )
 from service.kernels.se2 import between, compose, exponential
 from service.kernels.tracks import Track, gyro_angle_at, odometry_at
@@ -27,12 +25,12 @@ MAX_NODES = 65
 
 
 @inner_kernel
-def expected_step(state, seconds, settings, step):
+def expected_step(state, seconds, step):
     """Predicted motion of the base over some seconds, negative before the predicted time; [23].
 
     An acceleration fades backwards in time as it does forwards.
     """
-    to_step_s2 = transition_over(abs(seconds), settings.acceleration_s).to_step_s2
+    to_step_s2 = transition_over(abs(seconds), state.settings.acceleration_s).to_step_s2
     twist, acceleration = state.twist, state.acceleration
     exponential(
         seconds * twist[0] + to_step_s2 * acceleration[0],
@@ -43,8 +41,9 @@ def expected_step(state, seconds, settings, step):
 
 
 @inner_kernel
-def expected_variance(state, axis, seconds, settings):
+def expected_variance(state, axis, seconds):
     """Variance of that motion by white acceleration, m^2 or rad^2; axis 0, 1: x, y; 2: theta."""
+    settings = state.settings
     density = settings.turn_acceleration if axis == 2 else settings.acceleration
     t = abs(seconds)
     return density * density * t * t * t / 3.0 + state.covariance[TWIST + axis, TWIST + axis] * t * t
@@ -73,44 +72,42 @@ def covers(track, at_ns, begin_s, end_s):
     return track.stamp_ns[end - 1] > at_ns + np.int64(max(begin_s, 0.0) * 1e9)
 
 
-@kernel(PackedFilter, Track, Track, MotionSettings, Float64_1D, Float64_2D, Float64_2D)
-def deskew_sweep(packed, odometry, gyro, settings, beam_time_s, xy_raw, xy_base):
+@kernel(FilterRecord, Track, Track, Float64_1D, Float64_2D, Float64_2D)
+def deskew_sweep(record, odometry, gyro, beam_time_s, xy_raw, xy_base):
     """Transform the points of a sweep to the base frame at the time of a prediction; [23].
 
-    packed        PackedFilter     after the prediction; its time is 0 s
+    record        FilterRecord     after the prediction; its time is 0 s
     odometry      Track
     gyro          Track
-    settings      MotionSettings
     beam_time_s   (N,)   float64   s, rising
     xy_raw        (N, 2) float64   in: m, base frame at each point's time; out: base frame at that time for
                                    constant twist
     xy_base       (N, 2) float64   out: m, base frame at 0 s
     """
-    state = filter_in(packed)
+    state = record[0]
     count = beam_time_s.shape[0]
     if count > 0 and beam_time_s[count - 1] > beam_time_s[0]:
         begin_s, end_s = beam_time_s[0], beam_time_s[count - 1]
         deviation = np.empty((min(2 + int((end_s - begin_s) / NODE_S), MAX_NODES), 3))
-        if deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
+        if deviation_over(state, odometry, gyro, begin_s, end_s, deviation):
             apply_deviation(beam_time_s, begin_s, end_s, deviation, xy_raw)
     deskew_points(xy_raw, beam_time_s, state.twist, xy_base)
 
 
 @inner_kernel
-def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
+def deviation_over(state, odometry, gyro, begin_s, end_s, deviation):
     """Pose of the base at times of a sweep, relative to that by constant twist; [23].
 
-    state       Filter           after a prediction; its time is 0 s
+    state       record of FILTER after a prediction; its time is 0 s
     odometry    Track
     gyro        Track
     begin_s     float            of the sweep
     end_s       float
-    settings    MotionSettings
     deviation   (K, 3) float64   out: m, m, rad at K times evenly from begin_s to end_s; K > 1
     Returns False where it is unknown; deviation is then unchanged.
     """
-    at_ns = state.stamp_ns[0]
-    lag_ns = np.int64(state.learnt[2] * 1e9)
+    at_ns = state.stamp_ns
+    lag_ns = np.int64(state.lag_s * 1e9)
     has_odometry = covers(odometry, at_ns + lag_ns, begin_s, end_s)
     has_gyro = covers(gyro, at_ns, begin_s, end_s)
     if not (has_odometry or has_gyro or np.any(state.acceleration != 0.0)):
@@ -122,13 +119,11 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
     odometry_rad, odometry_variance = np.zeros(count), np.zeros(count)  # of the rotation in off
     for k in range(count):
         times_s[k] = begin_s + (end_s - begin_s) * k / (count - 1)
-        expected_step(state, times_s[k], settings, expected_at[k])
+        expected_step(state, times_s[k], expected_at[k])
     if has_odometry:
-        measure_by_odometry(
-            state, odometry, times_s, settings, expected_at, off, odometry_rad, odometry_variance
-        )
+        measure_by_odometry(state, odometry, times_s, expected_at, off, odometry_rad, odometry_variance)
     if has_gyro:
-        correct_by_gyro(state, gyro, times_s, settings, has_odometry, odometry_rad, odometry_variance, off)
+        correct_by_gyro(state, gyro, times_s, has_odometry, odometry_rad, odometry_variance, off)
     step, pose = np.empty(3), np.empty(3)
     twist = state.twist
     for k in range(count):
@@ -140,7 +135,7 @@ def deviation_over(state, odometry, gyro, begin_s, end_s, settings, deviation):
 
 
 @inner_kernel
-def measure_by_odometry(state, track, times_s, settings, expected_at, off, measured_rad, variance_rad2):
+def measure_by_odometry(state, track, times_s, expected_at, off, measured_rad, variance_rad2):
     """Deviation from the predicted motion by odometry; [23].
 
     times_s         (K,)   float64   from the state's time
@@ -149,23 +144,23 @@ def measure_by_odometry(state, track, times_s, settings, expected_at, off, measu
     measured_rad    (K,)   float64   out: its rotation before weighting
     variance_rad2   (K,)   float64   out: noise of that
     """
-    at_ns = state.stamp_ns[0] + np.int64(state.learnt[2] * 1e9)
+    settings, at_ns = state.settings, state.stamp_ns + np.int64(state.lag_s * 1e9)
     count = times_s.shape[0]
     origin, pose, scratch = np.empty(3), np.empty(3), np.empty(3)
     step, rest = np.empty(3), np.empty(3)
-    odometry_at(track, at_ns, settings, origin, scratch)
+    odometry_at(track, at_ns, origin, scratch)
     newest_s = (track.stamp_ns[track.span[1] - 1] - at_ns) * 1e-9
     speed, rate = math.hypot(state.twist[0], state.twist[1]), abs(state.twist[2])
     known, variance = np.empty(count), np.empty((count, 2))
     for k in range(count):
         t = times_s[k]
         known[k] = min(t, newest_s)
-        odometry_at(track, at_ns + np.int64(known[k] * 1e9), settings, pose, scratch)
+        odometry_at(track, at_ns + np.int64(known[k] * 1e9), pose, scratch)
         between(origin, pose, step)
-        step[0] *= 1.0 + state.learnt[0]
-        step[1] *= 1.0 + state.learnt[0]
-        step[2] *= 1.0 + state.learnt[1]
-        expected_step(state, known[k], settings, scratch)
+        step[0] *= 1.0 + state.scale
+        step[1] *= 1.0 + state.scale
+        step[2] *= 1.0 + state.turn_scale
+        expected_step(state, known[k], scratch)
         between(scratch, expected_at[k], rest)  # beyond the newest sample the predicted motion
         compose(step, rest, step)
         between(expected_at[k], step, off[k])
@@ -181,17 +176,17 @@ def measure_by_odometry(state, track, times_s, settings, expected_at, off, measu
         # Empirical Bayes: the deviation beyond noise limits the prior variance (Efron, Morris 1973).
         part = 0.0
         for end in (0, count - 1):
-            expected = expected_variance(state, axis, known[end], settings)
+            expected = expected_variance(state, axis, known[end])
             shown = off[end, axis] ** 2 - variance[end, axis // 2]
             if expected > 0.0:
                 part = max(part, min(shown / expected, 1.0))
         for k in range(count):
-            expected = part * expected_variance(state, axis, known[k], settings)
+            expected = part * expected_variance(state, axis, known[k])
             off[k, axis] *= gain_of(expected, off[k, axis], variance[k, axis // 2])
 
 
 @inner_kernel
-def correct_by_gyro(state, track, times_s, settings, has_odometry, odometry_rad, odometry_variance, off):
+def correct_by_gyro(state, track, times_s, has_odometry, odometry_rad, odometry_variance, off):
     """Correct the rotation of a deviation by the gyro; [23].
 
     times_s             (K,)   float64   from the state's time
@@ -199,17 +194,17 @@ def correct_by_gyro(state, track, times_s, settings, has_odometry, odometry_rad,
     odometry_variance   (K,)   float64   rad^2, of that
     off                 (K, 3) float64   in and out: m, m, rad
     """
-    at_ns, rate = state.stamp_ns[0], state.twist[2]
+    settings, at_ns, rate = state.settings, state.stamp_ns, state.twist[2]
     start_rad = gyro_angle_at(track, at_ns)
     newest_s = (track.stamp_ns[track.span[1] - 1] - at_ns) * 1e-9
     for k in range(times_s.shape[0]):
         known_s = min(times_s[k], newest_s)
         turned = gyro_angle_at(track, at_ns + np.int64(known_s * 1e9)) - start_rad
         to_step_s2 = transition_over(abs(known_s), settings.acceleration_s).to_step_s2
-        turned -= (state.learnt[3] + rate) * known_s + to_step_s2 * state.acceleration[2]
+        turned -= (state.bias_radps + rate) * known_s + to_step_s2 * state.acceleration[2]
         variance = settings.gyro_walk**2 * abs(known_s) + (GYRO_SCALE * abs(rate) * known_s) ** 2
-        variance *= state.gyro_noise[0]
-        kept = gain_of(expected_variance(state, 2, known_s, settings), turned, variance)
+        variance *= state.gyro_noise
+        kept = gain_of(expected_variance(state, 2, known_s), turned, variance)
         if has_odometry:  # where gyro and odometry contradict each other, the gyro may be dead
             apart = turned - odometry_rad[k]
             both = variance + odometry_variance[k]
@@ -217,27 +212,26 @@ def correct_by_gyro(state, track, times_s, settings, has_odometry, odometry_rad,
         off[k, 2] += kept * (turned - off[k, 2])
 
 
-@kernel(PackedFilter, Track, Track, float, MotionSettings, Float64_1D, Float64_1D, Float64_2D)
-def motion_at(packed, odometry, gyro, seconds, settings, pose, twist, covariance):
+@kernel(FilterRecord, Track, Track, float, Float64_1D, Float64_1D, Float64_2D)
+def motion_at(record, odometry, gyro, seconds, pose, twist, covariance):
     """Motion some seconds from the newest estimate, within its sweep; [23].
 
-    packed       PackedFilter     after a correction; its time is 0 s
+    record       FilterRecord     after a correction; its time is 0 s
     odometry     Track
     gyro         Track
     seconds      float            not 0
-    settings     MotionSettings
     pose         (3,)   float64   out: base in odom
     twist        (3,)   float64   out
     covariance   (3, 3) float64   out: of the pose against the first scan, base axes
     """
-    state = filter_in(packed)
+    state = record[0]
     deviation = np.zeros((2, 3))
-    deviation_over(state, odometry, gyro, seconds, 0.0, settings, deviation)
+    deviation_over(state, odometry, gyro, seconds, 0.0, deviation)
     step = np.empty(3)
     exponential(seconds * state.twist[0], seconds * state.twist[1], seconds * state.twist[2], step)
     compose(step, deviation[0], step)
     compose(state.pose, step, pose)
-    over = transition_over(abs(seconds), settings.acceleration_s)
+    over = transition_over(abs(seconds), state.settings.acceleration_s)
     to_twist_s = math.copysign(over.to_twist_s, seconds)
     P = state.covariance.copy()
     transform_pose_error(P, MAP, step)
@@ -277,8 +271,8 @@ def apply_deviation(beam_time_s, begin_s, end_s, deviation, xy_raw):
         xy_raw[i, 1] = deviation[k, 1] + share * (deviation[k + 1, 1] - deviation[k, 1]) + s * x + c * y
 
 
-@kernel(Track, int, MotionSettings, Float64_1D)
-def begin_twist(track, stamp_ns, settings, twist):
+@kernel(Track, int, Float64_1D)
+def begin_twist(track, stamp_ns, twist):
     """Odometry's speed (3,) at the first scan."""
     pose = np.empty(3)
-    odometry_at(track, stamp_ns, settings, pose, twist)
+    odometry_at(track, stamp_ns, pose, twist)

@@ -11,6 +11,7 @@ from service.kernels.arrays import Float64_2D, Int64_1D
 from service.kernels.compiled import inner_kernel
 from service.kernels.se2 import between, compose, exponential, logarithm
 
+SPEED_WINDOW_NS = 50_000_000  # over which odometry gives a speed: encoder ticks average out
 LAG_WINDOW_NS = 200_000_000  # of the mean speed that a lag of the stamps is multiplied by
 ACCELERATION_NS = 100_000_000  # two such windows give the acceleration of a path
 LONGEST_WINDOW_NS = 500_000_000  # scans farther apart give none
@@ -46,14 +47,14 @@ def last_at_or_before(track, stamp_ns):
 
 
 @inner_kernel
-def odometry_twist(track, row, window_ns, twist):
-    """Speed between a sample and one at least window_ns before, so that encoder ticks average out.
+def odometry_twist(track, row, twist):
+    """Speed between a sample and one at least SPEED_WINDOW_NS before.
 
     Where all samples are within the window the oldest is taken: a burst of stamps is no speed.
     Returns whether there was time between the two.
     """
     first = row - 1
-    while first > track.span[0] and track.stamp_ns[row] - track.stamp_ns[first] < window_ns:
+    while first > track.span[0] and track.stamp_ns[row] - track.stamp_ns[first] < SPEED_WINDOW_NS:
         first -= 1
     twist[:] = 0.0
     if first < track.span[0]:
@@ -70,7 +71,7 @@ def odometry_twist(track, row, window_ns, twist):
 
 
 @inner_kernel
-def odometry_at(track, stamp_ns, settings, pose, twist):
+def odometry_at(track, stamp_ns, pose, twist):
     """Odometry's pose (3,) and twist (3,) at a time.
 
     Between samples the pose is interpolated by white-noise acceleration, beyond the last the speed is
@@ -79,7 +80,6 @@ def odometry_at(track, stamp_ns, settings, pose, twist):
     the next).
     """
     row = last_at_or_before(track, stamp_ns)
-    window_ns = np.int64(settings.speed_window_s * 1e9)
     step = np.empty(3)
     first = track.span[0]
     end = track.span[1]
@@ -90,12 +90,12 @@ def odometry_at(track, stamp_ns, settings, pose, twist):
         logarithm(step, twist)
         exponential(share * twist[0], share * twist[1], share * twist[2], step)
         compose(track.value[row, :3], step, pose)
-        odometry_twist(track, row + 1, window_ns, twist)
+        odometry_twist(track, row + 1, twist)
         square_m2 = track.value[row, 3] + share * (track.value[row + 1, 3] - track.value[row, 3])
         square_rad2 = track.value[row, 4] + share * (track.value[row + 1, 4] - track.value[row, 4])
         return square_m2, square_rad2, share * gap_ns * 1e-9, gap_ns * 1e-9
     row = min(max(row, first), end - 1)
-    odometry_twist(track, max(row, first + 1), window_ns, twist)
+    odometry_twist(track, max(row, first + 1), twist)
     elapsed_s = (stamp_ns - track.stamp_ns[row]) * 1e-9
     exponential(elapsed_s * twist[0], elapsed_s * twist[1], elapsed_s * twist[2], step)
     compose(track.value[row, :3], step, pose)
@@ -103,7 +103,7 @@ def odometry_at(track, stamp_ns, settings, pose, twist):
 
 
 @inner_kernel
-def mean_twist(track, stamp_ns, settings, twist):
+def mean_twist(track, stamp_ns, twist):
     """Mean speed (3,) over LAG_WINDOW_NS about a time: what a lag of the stamps is multiplied by.
 
     A speed by two encoder ticks would be noise, and the learnt lag too small.
@@ -111,8 +111,8 @@ def mean_twist(track, stamp_ns, settings, twist):
     before = np.empty(3)
     after = np.empty(3)
     scratch = np.empty(3)
-    odometry_at(track, stamp_ns - LAG_WINDOW_NS // 2, settings, before, scratch)
-    odometry_at(track, stamp_ns + LAG_WINDOW_NS // 2, settings, after, scratch)
+    odometry_at(track, stamp_ns - LAG_WINDOW_NS // 2, before, scratch)
+    odometry_at(track, stamp_ns + LAG_WINDOW_NS // 2, after, scratch)
     between(before, after, scratch)
     logarithm(scratch, twist)
     for i in range(3):
@@ -138,7 +138,7 @@ def add_to_path(path, stamp_ns, pose):
 
 
 @inner_kernel
-def acceleration_of(path, odometry, lag_ns, settings, acceleration):
+def acceleration_of(path, odometry, lag_ns, acceleration):
     """Acceleration (3,) at the end of a path, confirmed by odometry: the smaller one, 0 where signs differ.
 
     Each is that between the mean speeds of two windows. Where a wheel slips, odometry's speed changes and
@@ -159,9 +159,9 @@ def acceleration_of(path, odometry, lag_ns, settings, acceleration):
     last = np.empty(3)
     scratch = np.empty(3)
     of_odometry = np.empty(3)
-    odometry_at(odometry, path.stamp_ns[oldest] + lag_ns, settings, first, scratch)
-    odometry_at(odometry, path.stamp_ns[middle] + lag_ns, settings, mid, scratch)
-    odometry_at(odometry, path.stamp_ns[newest] + lag_ns, settings, last, scratch)
+    odometry_at(odometry, path.stamp_ns[oldest] + lag_ns, first, scratch)
+    odometry_at(odometry, path.stamp_ns[middle] + lag_ns, mid, scratch)
+    odometry_at(odometry, path.stamp_ns[newest] + lag_ns, last, scratch)
     change_of_mean(first, mid, last, old_s, new_s, of_odometry)
     change_of_mean(path.value[oldest], path.value[middle], path.value[newest], old_s, new_s, acceleration)
     for i in range(3):

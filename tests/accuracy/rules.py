@@ -10,7 +10,7 @@ from typing import Any
 from unittest.mock import patch
 
 from service.kernels.deskew import deskew_points
-from service.kernels.filter_state import PackedFilter, views_of
+from service.kernels.filter_state import FilterRecord
 from service.kernels.normals import estimate_normals
 from service.kernels.tracks import Track
 from service.mapper.components import Points
@@ -35,12 +35,10 @@ def normals_of_points_as_they_are(*arguments: Any) -> None:
     arguments[-1][:] = arguments[0]
 
 
-def deskewed_by_twist(
-    packed: PackedFilter, _odometry: Track, _gyro: Track, _settings: Any, *arrays: Matrix
-) -> None:
+def deskewed_by_twist(record: FilterRecord, _odometry: Track, _gyro: Track, *arrays: Matrix) -> None:
     """In place of deskew_sweep."""
     beam_time_s, xy_raw, xy_base = arrays
-    deskew_points(xy_raw, beam_time_s, views_of(packed).twist, xy_base)
+    deskew_points(xy_raw, beam_time_s, record["twist"][0], xy_base)
 
 
 def by_single_scans(walls: NarrowWalls, points: Points, normals: Matrix, pose: Matrix) -> Matrix:

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.frames import LaserScan, OdometrySample
-from service.estimator.estimator import PAUSE_NS, SPEED_WINDOW_S
+from service.estimator.estimator import PAUSE_NS
 from service.estimator.motion import Prediction
+from service.kernels.tracks import SPEED_WINDOW_NS
 from service.mapper.checks.mounting_check import MountingCheck
 from service.mapper.checks.odometry_mounting import OdometryMounting
 from service.mapper.checks.stamp_check import StampChecks
@@ -78,7 +79,7 @@ class OdometryWait:
             return True
         if self._since_ns <= last_ns:  # no pause of odometry has ended since the previous scan
             return stamp_ns - newest_ns <= GAP_S * 1e9
-        return min(stamp_ns, newest_ns) - self._since_ns >= SPEED_WINDOW_S * 1e9
+        return min(stamp_ns, newest_ns) - self._since_ns >= SPEED_WINDOW_NS
 
 
 class Verdict(NamedTuple):

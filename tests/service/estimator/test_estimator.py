@@ -131,9 +131,9 @@ def test_a_straight_path_is_the_least_squares_solution_over_all_of_it() -> None:
 
     assert motion.pose_odom_base.x_m == pytest.approx(solution[-3], abs=1e-9)
     assert motion.twist_base[0] == pytest.approx(solution[-2], abs=1e-9)
-    assert model.filter.acceleration[0] == pytest.approx(solution[-1], abs=1e-9)
+    assert model.filter["acceleration"][0] == pytest.approx(solution[-1], abs=1e-9)
     rows = (LOCAL, TWIST, ACCELERATION)
-    believed = model.filter.covariance[np.ix_(rows, rows)]
+    believed = model.filter["covariance"][np.ix_(rows, rows)]
     np.testing.assert_allclose(believed, spread, rtol=1e-9, atol=1e-9 * spread[0, 0])
     assert abs(motion.pose_odom_base.x_m - scans_m[-1]) > 1e-5  # it is not the last scan
 
@@ -158,7 +158,7 @@ def test_a_scan_alone_and_the_same_scan_joined_by_hand_are_one() -> None:
         away = mean.inverse() @ got.pose_odom_base
         assert (away.x_m, away.y_m, away.theta_rad) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
     assert first.twist_base == pytest.approx(second.twist_base, abs=1e-12)
-    local = alone.filter.covariance[LOCAL : LOCAL + 3, LOCAL : LOCAL + 3]
+    local = alone.filter["covariance"][LOCAL : LOCAL + 3, LOCAL : LOCAL + 3]
     np.testing.assert_allclose(local, covariance, rtol=1e-6, atol=1e-12)
 
 
@@ -178,7 +178,7 @@ def test_the_motion_of_a_segment_is_an_error_of_the_pose_but_none_against_the_se
     added = motions[-1].covariance - motions[2].covariance
     np.testing.assert_allclose(added, 3.0 * noise, rtol=1e-3, atol=0.02)
     block = slice(LOCAL, LOCAL + 3)
-    np.testing.assert_array_equal(*(model.filter.covariance[block, block] for model in models))
+    np.testing.assert_array_equal(*(model.filter["covariance"][block, block] for model in models))
 
 
 def test_the_first_speed_is_not_that_of_two_samples_of_a_burst() -> None:
@@ -192,14 +192,14 @@ def test_the_first_speed_is_not_that_of_two_samples_of_a_burst() -> None:
 def test_the_bias_of_the_gyro_is_learnt(bias_radps: float) -> None:
     model = Estimator(EstimatorConfig())
     driven(model, 20_000, rate_radps=bias_radps)
-    assert model.learnt[3] == pytest.approx(bias_radps, abs=5e-4)
+    assert model.filter["bias_radps"] == pytest.approx(bias_radps, abs=5e-4)
 
 
 def test_a_bias_that_jumps_is_learnt_again_within_two_seconds() -> None:
     model = Estimator(EstimatorConfig())
     driven(model, 20_000, rate_radps=0.0)
     driven(model, 22_000, rate_radps=0.1, from_ms=20_020)
-    assert model.learnt[3] == pytest.approx(0.1, abs=5e-3)
+    assert model.filter["bias_radps"] == pytest.approx(0.1, abs=5e-3)
 
 
 def test_odometry_carries_over_a_minute_and_a_half_without_scans() -> None:
@@ -238,7 +238,7 @@ def test_a_burst_of_odometry_does_not_disturb(before_ms: int, after_ms: int) -> 
             speed_mps.append(predicted.twist_base[0])
     assert np.abs(off_m[25:]).max() < 0.003
     assert np.abs(np.array(speed_mps[25:]) - 1.0).max() < 0.1
-    assert np.abs(model.learnt[0]) < 0.005
+    assert np.abs(model.filter["scale"]) < 0.005
 
 
 def test_odometry_that_grows_unsure_widens_the_prediction() -> None:
@@ -277,7 +277,7 @@ def test_odometry_that_begins_again_costs_the_step_in_which_it_did(
             measured.append(predicted.is_measured)
     assert max(off_m[5:]) < 0.02
     assert measured[5:].count(False) <= 1
-    assert abs(model.learnt[0]) < 0.005
+    assert abs(model.filter["scale"]) < 0.005
     assert not model.fault
     assert [record.message.startswith("base: odometry jumps by") for record in caplog.records] == [True]
 

@@ -112,8 +112,9 @@ def learnt_on(
             model.settle(math.exp(-SETTLE_M / 4.0))
             settled_m = way_m[k]
     truth = np.array([1.0 / wheels.scale - 1.0, 1.0 / wheels.turn_scale - 1.0, wheels.lag_s])
-    sigma = np.sqrt(np.diag(model.filter.covariance)[[SCALE, TURN_SCALE, LAG]])
-    return Learnt(model.learnt[:3] - truth, sigma, motion.pose_odom_base.x_m - true.x_m)
+    sigma = np.sqrt(np.diag(model.filter["covariance"])[[SCALE, TURN_SCALE, LAG]])
+    learnt = np.array([model.filter[name] for name in ("scale", "turn_scale", "lag_s")])
+    return Learnt(learnt - truth, sigma, motion.pose_odom_base.x_m - true.x_m)
 
 
 @pytest.mark.parametrize("seed", FEW_SEEDS)
@@ -171,7 +172,7 @@ def motion_noise_learnt(
         model.predict(round(1e9 * dt * k))
         scan = SE2(x_m + SIGMA_M * random.standard_normal(), 0.0, 0.0)
         model.correct(matched(scan, np.diag(1.0 / np.array(EVERYWHERE))) if k else None)
-        learnt.append(model.filter.motion_noise.copy())
+        learnt.append(model.filter["motion_noise"].copy())
         x_m, speed_mps = x_m + dt * speed_mps, speed_mps + dt * (acceleration + 0.2 * (1.0 - speed_mps))
         acceleration = kept * acceleration + pushed * random.standard_normal()
     mean: npt.NDArray[np.float64] = np.mean(learnt[round(60.0 / dt) :], axis=0)

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.estimator.estimator import PAUSE_NS, SPEED_WINDOW_S
+from service.estimator.estimator import PAUSE_NS
+from service.kernels.tracks import SPEED_WINDOW_NS
 from service.mapper.checks.sensor_checks import OdometryWait, ScanCheck
 
 S = 1_000_000_000
-SPEED_WINDOW_NS = round(SPEED_WINDOW_S * S)
 
 
 def scan(stamp_ns: int, arrived_ns: int, range_m: float = 1.0) -> LaserScan:
