@@ -20,7 +20,6 @@ from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.estimator import (
     MAX_SILENT_S,
     add_scale_error,
-    begin_motion,
     predict_motion,
     take_match,
     transfer_into_map,
@@ -38,6 +37,7 @@ from service.kernels.filter_state import (
     TWIST,
     MotionSettings,
 )
+from service.kernels.source_noise import begin_motion
 from service.kernels.sweep import begin_twist, deskew_sweep, motion_at
 from service.kernels.tracks import SPEED_WINDOW_NS, Track
 from service.outputs import NO_REASON, Reason

@@ -31,7 +31,7 @@ from service.kernels.filter_state import (
 )
 from service.kernels.pose_information import invert_3x3
 from service.kernels.se2 import between, compose, exponential, logarithm
-from service.kernels.source_noise import begin_window, extend_window, learn_noise, motion_noise_over
+from service.kernels.source_noise import extend_window, learn_noise, motion_noise_over
 from service.kernels.tracks import (
     LAG_WINDOW_NS,
     Track,
@@ -165,14 +165,6 @@ def predict_motion(record, odometry, gyro, stamp_ns):
     add_step_error(P, step)
     extend_window(state, math.hypot(step[0], step[1]) + abs(step[2]), dt)
     state.stamp_ns = stamp_ns
-
-
-@kernel(FilterRecord, int)
-def begin_motion(record, stamp_ns):
-    """Set the time of the first scan and begin the window of the learnt noise."""
-    state = record[0]
-    state.stamp_ns = stamp_ns
-    begin_window(state)
 
 
 @inner_kernel
@@ -427,8 +419,7 @@ def correct_motion(state, pose, local_covariance, prior_weight):
     pose               (3,)   float64   base in odom, of prediction and scan together
     local_covariance   (3, 3) float64   of it
     prior_weight       float            of the prediction in the match; below 1 its covariance is widened
-    first The other states follow by their correlation with the pose. Returns False where the prior is
-    singular.
+    The other states follow by their correlation with the pose. Returns False where the prior is singular.
     """
     P = state.covariance
     step = np.empty(3)

@@ -8,8 +8,8 @@ import math
 import numpy as np
 
 from service.geometry.chi2 import CHI2_999_OF_1
-from service.kernels.compiled import inner_kernel
-from service.kernels.filter_state import BIAS, TWIST
+from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.filter_state import BIAS, TWIST, FilterRecord
 from service.kernels.pose_information import invert_3x3, wrap
 from service.kernels.se2 import between, compose
 
@@ -37,6 +37,14 @@ def extend_window(state, travel_m, dt):
         total.has_gyro = False
     state.window.travel_m += travel_m
     state.window.elapsed_s += dt
+
+
+@kernel(FilterRecord, int)
+def begin_motion(record, stamp_ns):
+    """Set the time of the first scan and begin the window of the learnt noise."""
+    state = record[0]
+    state.stamp_ns = stamp_ns
+    begin_window(state)
 
 
 @inner_kernel
