@@ -98,6 +98,15 @@ class MapRequest(Request):
     version: Annotated[int, Field(ge=1)] | None = None
 
 
+GRAPH_REQUESTS: dict[str, type[Request]] = {  # of the graph of the profile that maps, by verb
+    "add_landmark_pair": PairRequest,
+    "remove_landmark_pair": PairNumberRequest,
+    "set_pose": PoseRequest,
+    "edit_map": EditRequest,
+    "set_mode": ModeRequest,
+    **dict.fromkeys(("checkpoint", "optimize", "undo"), Request),
+}
+
 # name, version -> folder, version that can be begun in
 FindMap = Callable[[str, int | None], tuple[Path, int]]
 
@@ -150,14 +159,10 @@ class Commands:
             "start_recording": self._verb("start_recording", self._start_recording),
             "stop_recording": self._verb("stop_recording", self._stop_recording),
             "mark": self._verb("mark", self._mark, MarkRequest),
-            "add_landmark_pair": self._graph_verb("add_landmark_pair", PairRequest),
-            "remove_landmark_pair": self._graph_verb("remove_landmark_pair", PairNumberRequest),
-            "set_pose": self._graph_verb("set_pose", PoseRequest),
-            "edit_map": self._graph_verb("edit_map", EditRequest),
-            "set_mode": self._graph_verb("set_mode", ModeRequest),
-            "checkpoint": self._graph_verb("checkpoint"),
-            "optimize": self._graph_verb("optimize"),
-            "undo": self._graph_verb("undo"),
+            **{
+                name: self._verb(name, partial(self._ask_graph, name), request)
+                for name, request in GRAPH_REQUESTS.items()
+            },
         }
 
     def close(self) -> None:
@@ -183,10 +188,6 @@ class Commands:
     def _keep(self, outcome: Outcome) -> None:
         with self._lock:
             self._open = [*(o for o in self._open if not o.settled), outcome]
-
-    def _graph_verb(self, name: str, request: type[Request] = Request) -> Verb:
-        """A verb for the graph of the profile that maps."""
-        return self._verb(name, partial(self._ask_graph, name), request)
 
     def _ask_graph(self, name: str, event: Message, outcome: Outcome) -> None:
         """Recorded even if it is refused: a replay refuses it at the same place."""
