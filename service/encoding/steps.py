@@ -22,7 +22,11 @@ LOAD_MAP = "load_map"
 SWITCH_PROFILE = "switch_profile"
 APPLY_RESULT = "apply_result"
 _APPLY_RESULTS = (APPLY_RESULT, "take_in")  # the latter in recordings made before 2026-11-22
-LEFT_OUT: dict[str, Literal["old", "fatal"]] = {"scan_passed_over": "old", "frame_refused": "fatal"}
+LEFT_OUT: dict[str, Literal["old", "fatal"]] = {
+    "scan_passed_over": "old",
+    "frame_refused": "fatal",
+    "frame_left_out": "fatal",  # the mapper never had it
+}
 
 
 def decode_step(payload: bytes, log_ns: int) -> Step | None:

@@ -49,10 +49,7 @@ class Intake:
         self.paused = False
 
     def put(self, frame: Frame) -> None:
-        """Give a frame to the sinks and to the mapper. After close() frames are ignored.
-
-        Raises OverflowError where the mapper has been stuck for minutes.
-        """
+        """Give a frame to the sinks and to the mapper. After close() frames are ignored."""
         with self._lock:
             if self._is_closed:
                 return
@@ -105,20 +102,23 @@ class Intake:
         with self._lock:
             if self._is_closed:
                 return "the service is stopping"
-            log_ns = self._log_clock.next_ns(self._host_time.unix_ns(time.monotonic_ns()))
+            log_ns = self._log_ns_now()
             self.request_tiles(log_ns, lambda answer: then())
             return ""
 
     def log_ns(self) -> int:
         """A log time after all before, for what comes of frames."""
         with self._lock:
-            return self._log_clock.next_ns(self._host_time.unix_ns(time.monotonic_ns()))
+            return self._log_ns_now()
 
     def close(self) -> None:
         """Take no more."""
         with self._lock:
             self._is_closed = True
 
+    def _log_ns_now(self) -> int:
+        return self._log_clock.next_ns(self._host_time.unix_ns(time.monotonic_ns()))
+
     def _event(self, event: Mapping[str, Any]) -> Message:
-        log_ns = self._log_clock.next_ns(self._host_time.unix_ns(time.monotonic_ns()))
+        log_ns = self._log_ns_now()
         return encode_event(json.dumps(dict(event)), log_ns, log_ns)

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Protocol
 
+from service.runtime.backlog import Backlog
 from service.runtime.channel import Channel, ChannelClosedError, Listening, wait_for
 from service.runtime.early_mapper import END_S, MODULE, EarlyMapper, MapperSocket, mapper_environment
 from service.runtime.mapper_messages import (
@@ -54,7 +55,6 @@ from service.runtime.mapper_silence import STILL_S, MapperSilence
 log = logging.getLogger(__name__)
 
 LISTEN_S = 0.2
-MAX_KEPT = 60_000  # items; minutes of three lasers, while a stand-by comes every few seconds
 MAX_DEATHS = 4  # without an item done in between: then the service ends with an error
 HOLD_NS = 25_000_000  # that a sample may wait for the scan that it goes to the mapper with
 MAX_HELD = 64  # samples; then they go without one
@@ -72,6 +72,9 @@ class MapperListener(Protocol):
 
     def refused(self, item: FrameItem) -> None:
         """This frame is left out from now on: the mapper died at it."""
+
+    def left_out(self, item: FrameItem) -> None:
+        """This frame is not mapped: too many items wait. From the thread of a reader."""
 
 
 class MapperLostError(Exception):
@@ -94,6 +97,7 @@ class MapperLink:
         self._keeps_items = True  # as long as there may be a stand-by that needs them
         self._delayed: list[FrameItem] = []  # samples that go with the next scan
         self._number = 0  # of the last item submitted
+        self._backlog = Backlog()
         self._answers: dict[int, Callable[[Answer], None]] = {}
 
         self._process: subprocess.Popen[bytes] | None = None
@@ -141,16 +145,12 @@ class MapperLink:
         """For how long the mapper has sent nothing; it sends its status several times a second."""
         return self._silence.seconds
 
-    @property
-    def is_ready(self) -> bool:
-        """Whether kernels are there and frames are mapped."""
-        return self._ready.is_set()
-
     def wait_ready(self, timeout_s: float) -> bool:
+        """Whether kernels are there and frames are mapped."""
         return self._ready.wait(timeout_s)
 
     def start(self) -> None:
-        """Start the process; it is ready when `is_ready` is true. `run` must turn meanwhile."""
+        """Start the process; it is ready when `wait_ready` says so. `run` must turn meanwhile."""
         self._silence.begin()
         if self._early is not None:
             self._process = self._early.process
@@ -168,11 +168,12 @@ class MapperLink:
     def submit(self, item: Item, answered: Callable[[Answer], None] | None = None) -> None:
         """Hand over the next item, never waiting; `answered` hears, in the thread of `run`, its outcome.
 
-        Raises OverflowError where so many items wait that the mapper must be stuck.
+        A frame for which too many items wait is left out, and the next item takes its number.
         """
         with self._lock:
-            if len(self._kept) >= MAX_KEPT:
-                raise OverflowError(f"{len(self._kept)} items wait for the mapper; it is stuck")
+            if isinstance(item, FrameItem) and not self._backlog.takes(item, self.waiting):
+                self._listener.left_out(item)
+                return
             self._number = item.number
             if self._keeps_items:
                 self._kept.append(item)
@@ -235,8 +236,7 @@ class MapperLink:
     def clean_up(self) -> None:
         """Call it when `run` has returned. Raises nothing: recording and map are finished after it."""
         standby = self._standby[0] if self._standby is not None else None
-        channels = [self._active, *self._given_up, *self._unidentified, standby]
-        for channel in channels:
+        for channel in (self._active, *self._given_up, *self._unidentified, standby):
             if channel is not None:
                 channel.close()
         self._active = self._standby = None

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -28,6 +29,7 @@ from service.runtime.mapper_messages import (
     Status,
     Tiles,
     Unusable,
+    is_sample,
 )
 from service.runtime.metrics import LatencyHistogram
 
@@ -48,7 +50,7 @@ class _Overload:
 
 
 class MappingOutputs:
-    """MapperListener. Written by the thread that listens to the mapper, read by any.
+    """MapperListener. Written by the thread that listens to the mapper, `left_out` by readers; read by any.
 
     put         takes a message and, for a pose, the moment its scan's last byte was read (host monotonic, ns)
     put_tiles   takes tiles that the store holds by now, and the Unix time of the scan they are up to
@@ -71,6 +73,7 @@ class MappingOutputs:
         self._log_ns = log_ns
         self._monotonic_ns = monotonic_ns
         self._began_version = 0  # versions of the mapper's tiles count from here
+        self._counting = threading.Lock()  # of _overload and passed_over
         self._overload: _Overload | None = None  # the newest, over or not
         self.counters: Mapping[str, int] = {}  # the mapper's own: scans, scans_dropped_late ...
         self.graph_fault = ""  # why no loop is closed any more, "" while loops are closed
@@ -83,7 +86,7 @@ class MappingOutputs:
         self.scan_cpu = LatencyHistogram()  # processor time in the mapper, by scan mapped
         self.unusable_scans = 0  # of the lasers that are mapped
         self.unusable: Counter[str] = Counter()  # frames that hold nothing to map, by sensor
-        self.passed_over: Counter[str] = Counter()  # scans that were too old, by sensor
+        self.passed_over: Counter[str] = Counter()  # scans too old, or with too many items ahead, by sensor
         self.restarts = 0  # of the mapper
         self.restart_reason = ""
         self.cpu_s = 0.0  # of the mapper's processes
@@ -100,7 +103,7 @@ class MappingOutputs:
             case ResultApplied():
                 self._graph_worked(message)
             case PassedOver():
-                self._left_out(message)
+                self._scan_passed_over(message)
             case PoseRefused():
                 self._pose_refused(message)
             case GraphKept():
@@ -128,6 +131,11 @@ class MappingOutputs:
 
     def refused(self, item: FrameItem) -> None:
         self._put_before(item.log_ns, {"event": "frame_refused", "sensor": item.sensor})
+
+    def left_out(self, item: FrameItem) -> None:
+        if item.sensor in self.lasers and not is_sample(item):
+            self._count_left_out(item.sensor, 0)
+        self._put_before(item.log_ns, {"event": "frame_left_out", "sensor": item.sensor})
 
     def map_reset(self) -> int | None:
         """The mapper has begun a new map; the tiles of the old one are emptied for all.
@@ -202,15 +210,19 @@ class MappingOutputs:
         elif kept.folder:
             self._tiles.keep_graph(Path(kept.folder))
 
-    def _left_out(self, message: PassedOver) -> None:
-        now_ns, overload = self._monotonic_ns(), self._overload
-        if overload is None or now_ns - overload.last_ns > OVERLOAD_NS:
-            overload = _Overload(now_ns)
-        self._overload = _Overload(
-            overload.first_ns, now_ns, overload.scans + 1, max(overload.oldest_age_ns, message.age_ns)
-        )
-        self.passed_over[message.sensor] += 1
+    def _scan_passed_over(self, message: PassedOver) -> None:
+        self._count_left_out(message.sensor, message.age_ns)
         self._put_before(message.log_ns, {"event": "scan_passed_over", "sensor": message.sensor})
+
+    def _count_left_out(self, sensor: str, age_ns: int) -> None:
+        now_ns = self._monotonic_ns()
+        with self._counting:
+            overload = self._overload
+            if overload is None or now_ns - overload.last_ns > OVERLOAD_NS:
+                overload = _Overload(now_ns)
+            oldest_age_ns = max(overload.oldest_age_ns, age_ns)
+            self._overload = _Overload(overload.first_ns, now_ns, overload.scans + 1, oldest_age_ns)
+            self.passed_over[sensor] += 1
 
     def _put_before(self, log_ns: int, event: Mapping[str, Any]) -> None:
         """An event among the frames, right before the one of this log time."""

@@ -55,7 +55,8 @@ GRAPH_PERIOD_NS = 2_000_000_000  # at most 25 kB
 KEPT_ROWS = 600  # ten minutes
 MAX_EVENTS = 100
 FRAMES = ("scan", "imu", "odom", "fix")  # what a sensor gives
-UNREPORTED = (APPLY_RESULT, "scan_passed_over", "frame_refused")  # counted in health, many a second
+# Counted in health, many a second.
+UNREPORTED = (APPLY_RESULT, "scan_passed_over", "frame_refused", "frame_left_out")
 MAX_WAYS = 200  # that wait to be shown
 PATH_STEP_M = 0.05
 # A pose farther away than a vehicle can have come: it was found elsewhere, and the path begins again there.

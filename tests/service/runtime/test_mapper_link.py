@@ -45,6 +45,7 @@ class Heard:
         self.messages: list[Any] = []
         self.takeovers: list[str] = []
         self.refusals: list[int] = []
+        self.left_outs: list[int] = []
 
     def heard(self, message: Any) -> None:
         self.messages.append(message)
@@ -54,6 +55,9 @@ class Heard:
 
     def refused(self, item: FrameItem) -> None:
         self.refusals.append(item.number)
+
+    def left_out(self, item: FrameItem) -> None:
+        self.left_outs.append(item.number)
 
     @property
     def graph_fault(self) -> str:

@@ -11,7 +11,7 @@ import pytest
 
 from service.encoding import IMU, LASER_SCAN, ODOMETRY
 from service.geometry.se2 import SE2
-from service.runtime import mapper_link
+from service.runtime import backlog, mapper_link
 from service.runtime.channel import Channel, ChannelClosedError
 from service.runtime.mapper_link import MapperLink
 from service.runtime.mapper_messages import (
@@ -22,6 +22,7 @@ from service.runtime.mapper_messages import (
     MakeStandby,
     Ready,
     Setup,
+    Status,
     TilesItem,
 )
 from tests.in_background import started
@@ -61,9 +62,14 @@ class Acted:
 
 
 @pytest.fixture
-def link() -> Iterator[MapperLink]:
+def heard() -> Heard:
+    return Heard()
+
+
+@pytest.fixture
+def link(heard: Heard) -> Iterator[MapperLink]:
     setup = Setup({}, {"front": SE2()}, ("front",), frozenset(), 20.0, logging.WARNING)
-    link = MapperLink(setup, Heard())
+    link = MapperLink(setup, heard)
     running = started(link.run)
     yield link
     link.close()
@@ -172,9 +178,30 @@ def test_samples_go_with_the_next_scan_and_soon_without_one(link: MapperLink):
     assert [submit_one(4, IMU, 20), submit_one(5, IMU, 45), submit_one(6, IMU, 46)] == [[], [], [4, 5, 6]]
 
 
-def test_a_copy_that_would_need_items_from_before_they_were_kept_again_is_sent_away(
-    link: MapperLink, monkeypatch: pytest.MonkeyPatch
+def test_scans_of_a_mapper_that_is_behind_are_left_out_and_samples_are_not(
+    link: MapperLink, heard: Heard, monkeypatch: pytest.MonkeyPatch
 ):
+    monkeypatch.setattr(backlog, "MAX_AHEAD", 3)
+    mapper = first_mapper(link)
+
+    def submit_one(type_name: str) -> int:
+        number = link.next_number()
+        link.submit(FrameItem(number, number, 0, "any", type_name, b""))
+        return number
+
+    assert [submit_one(name) for name in (LASER_SCAN, IMU, LASER_SCAN)] == [1, 2, 3]
+    assert [submit_one(name) for name in (LASER_SCAN, ODOMETRY, LASER_SCAN)] == [4, 4, 5]
+    mapper.say(Status(2))
+    wait_until(lambda: link.waiting == 2, words="what the mapper has taken is not known")
+    assert submit_one(LASER_SCAN) == 5
+    mapper.until(6)
+    assert [(item.number, item.type) for item in mapper.heard[1:]] == [
+        *((1, LASER_SCAN), (2, IMU), (3, LASER_SCAN), (4, ODOMETRY), (5, LASER_SCAN))
+    ]
+    assert heard.left_outs == [4, 5]
+
+
+def test_a_copy_that_would_need_items_from_before_they_were_kept_again_is_sent_away(link: MapperLink):
     """A profile without stand-bys has mapped for a while: its items are not kept."""
     mapper = first_mapper(link)
     submit(link, 2)
@@ -185,10 +212,8 @@ def test_a_copy_that_would_need_items_from_before_they_were_kept_again_is_sent_a
     assert is_sent_away(before)  # it knows nothing of the other profile
     submit(link, 3)
     mapper.until(6)
-    monkeypatch.setattr(mapper_link, "MAX_KEPT", 3)
-    submit(link, 5)  # more than may be kept
+    submit(link, 5)
     mapper.until(11)
-    monkeypatch.undo()
     mapper.say(CanCopy(True))
     turns = link.turns
     wait_until(lambda: link.turns > turns + 1, words="the link stands still")
