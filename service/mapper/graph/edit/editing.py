@@ -16,7 +16,6 @@ from service.mapper.components import MapRenderer, RenderedMap
 from service.mapper.edit_requests import Becomes, EditError
 from service.mapper.graph.gnss.anchoring import Anchoring
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.loops.stored_graph import saved_graph
 from service.mapper.graph.model.keyframe_list import LoopsConfig
 from service.mapper.graph.model.pose_graph import PoseGraph
 from service.mapper.loop_evidence import BY_HAND, RefusedLoops
@@ -164,8 +163,7 @@ def optimised(graph: SavedGraph, anchoring: Anchoring | None = None) -> SavedGra
     is_anchored = anchoring is not None and anchoring.reference is not None
     if is_anchored or len(graph.loop_ends) or len(graph.by_hand.pair_ends):
         back_end.solve()
-    segments = set(back_end.keyframes.segment.tolist())
-    return saved_graph(back_end.keyframes, back_end.loops.accepted, segments, back_end.loops.refusals)
+    return back_end.saved()
 
 
 def rendered_part(graph: SavedGraph, corners_map: Floats, renderer: MapRenderer) -> RenderedMap:

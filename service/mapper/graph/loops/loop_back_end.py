@@ -132,15 +132,20 @@ class LoopBackEnd:
             fixes=dict(anchoring.counts),
             place=self._place(),
             picture=self._pictures.picture(
-                self.keyframes, self._joined, self.loops.accepted, self.loops.refusals, is_asked
+                self.keyframes, self._known(), self.loops.accepted, self.loops.refusals, is_asked
             ),
         )
         if batch.is_last or batch.request == "checkpoint":
-            fixed_count = self._fixed_count if self._is_switched else None
-            loops = self.loops
-            saved = saved_graph(self.keyframes, loops.accepted, self._joined, loops.refusals, fixed_count)
+            saved = self.saved()
             result = replace(result, saved=self._keep_graph(saved) if self._keep_graph else saved)
         return result
+
+    def saved(self) -> SavedGraph:
+        """The key frames with a known place in the map, and the loops between them."""
+        is_known = self._known()
+        if self._is_switched:
+            is_known[self._fixed_count :] = False
+        return saved_graph(self.keyframes, self.loops.accepted, is_known, self.loops.refusals)
 
     def _place(self) -> PlaceUpdate:
         detached = self.detached_search
@@ -189,7 +194,7 @@ class LoopBackEnd:
         if applied is not None:
             edited = self._edits.answer(applied, self._known(), before, self.loops.counts[1] - disabled)
         graph = self._to_solve(is_in_hindsight=True)
-        known = known_pose(self.keyframes, self._joined, graph, self._fixed_count)
+        known = known_pose(self.keyframes, self._known(), graph, self._fixed_count)
         if joined is not None or batch.request:
             self._due.require_rendering()
         rendered = self.render() if self._due.take_rendering() else None

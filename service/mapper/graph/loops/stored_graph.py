@@ -1,6 +1,6 @@
 """Stored graphs: conversion of the back end's state, and a session on a fixed stored map."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -24,17 +24,10 @@ ANCHOR_COVARIANCE = np.diag([0.02**2, 0.02**2, 0.005**2])
 def saved_graph(
     keyframes: KeyframeList,
     loops: Sequence[Loop],
-    joined: Collection[int],
+    is_known: npt.NDArray[np.bool_],
     refusals: Refusals,
-    fixed_count: int | None = None,
 ) -> SavedGraph:
-    """The key frames with a known place in the map, and the loops between them.
-
-    fixed_count   only of the first so many; None: of all
-    """
-    is_known = np.isin(keyframes.segment, list(joined))
-    if fixed_count is not None:
-        is_known[fixed_count:] = False
+    """Some key frames, (N,), and the loops between them."""
     by_hand = keyframes.by_hand
     if not is_known.all():
         by_hand = by_hand.without_keyframes(is_known, keyframes.map)

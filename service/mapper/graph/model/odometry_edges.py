@@ -1,7 +1,5 @@
 """Odometry steps between key frames as edges of the graph, and the newest pose by them in hindsight."""
 
-from collections.abc import Collection
-
 import numpy as np
 import numpy.typing as npt
 
@@ -108,14 +106,14 @@ def edges_in_hindsight(keyframes: KeyframeList, step_m: float) -> Edges:
 
 
 def known_pose(
-    keyframes: KeyframeList, joined: Collection[int], graph: PoseGraph, fixed_count: int
+    keyframes: KeyframeList, is_known: npt.NDArray[np.bool_], graph: PoseGraph, fixed_count: int
 ) -> KnownPose | None:
     """The newest key frame with a known place in the map; None: there is none, or its covariance is unknown.
 
-    joined        numbers of the segments with a known place
+    is_known      (N,) key frames with a known place
     graph         with edges in hindsight; its first pose stands for the first fixed_count key frames
     """
-    placed = np.flatnonzero(np.isin(keyframes.segment, list(joined)))
+    placed = np.flatnonzero(is_known)
     if not len(placed) or not np.isfinite(keyframes.motion_covariance[placed[-1]]).all():
         return None
     k = int(placed[-1])
