@@ -118,7 +118,7 @@ RULES = (
         {"agree": lambda keyframes, a, b, base, _: agree(keyframes, a, b, base, (0.0, 0.0))},
     ),
     Rule("more passes than the nearest", f"{GRAPH}.loops.loop_search", {"PASSES": 1}),
-    Rule("wide search at the finish", f"{GRAPH}.loops.loop_back_end", {"FINISH_WINDOW": (0.01, 0.01)}),
+    Rule("wide search at the finish", f"{GRAPH}.loops.loop_back_end", {"EXPECTED_WINDOW": (0.01, 0.01)}),
 )
 WORLD_NAMES = ("corridor100d_s1", "ring_s3", "ring_bias_s1", "office300_s1", "office2000_kidnap_s1")
 REAL = ("fr079", "intel", "csail", "aces", "fhw")

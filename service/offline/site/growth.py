@@ -45,7 +45,7 @@ from service.offline.site.tasks import Find, FindLoops, keep_graph
 VIEWS = 6  # directions; of each spot and direction one key frame is used
 SHOWN_SPOT_M, SEARCHED_SPOT_M = 0.5, 1.0  # in the shown map, and where a session is searched
 MAX_PARTNERS, TIMES_COVERED = 4, 1  # sessions that one is tied to, at most; of each of its places
-# By fixes alone a session is known well enough to look for loops: FINISH_WINDOW of the back end at 3 sigma.
+# By fixes alone a session is known well enough to look for loops: EXPECTED_WINDOW of the search at 3 sigma.
 MAX_GEO_SIGMA_M, MAX_GEO_SIGMA_RAD = 0.5, 0.06
 Pair = tuple[int, int]  # numbers of sessions: members, and behind them those that are new
 Progress = Callable[[float, str, str], None]  # share; the phase; as text

@@ -37,7 +37,6 @@ from service.mapper.known_pose import KnownPose
 from service.mapper.saved_graph import KeepGraph, KeptGraph, SavedGraph
 from service.outputs import GraphPicture
 
-FINISH_WINDOW = EXPECTED_WINDOW  # of the final search
 VERIFY_WITHIN_M = 2.0  # distance from a key frame of the stored map at which a new session is verified
 MAX_SESSION = 600  # key frames, 180 m of path: then a session that only localises drops half of them
 
@@ -371,7 +370,7 @@ class LoopBackEnd:
         done = set(map(spots, self.loops.accepted))
         new = []
         for last in self._search.stretches():
-            for loop in self._loops_from(last, FINISH_WINDOW):
+            for loop in self._loops_from(last, EXPECTED_WINDOW):
                 if spots(loop) not in done and loop.of < loop.to:
                     done.add(spots(loop))
                     new.append(loop)

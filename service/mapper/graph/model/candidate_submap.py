@@ -56,17 +56,20 @@ def cloud_of(
 ) -> PointCloud:
     """Points of key frames in the frame of `reference`, placed by odometry or by `poses`, (N, 3) of all."""
     poses = keyframes.odom if poses is None else poses
-    return joined(
-        [seen_by(keyframes, k).transformed(se2.between(poses[reference], poses[k])) for k in members]
-    )
+    return joined([observed_by(keyframes, k, se2.between(poses[reference], poses[k]))[0] for k in members])
 
 
-def seen_by(keyframes: KeyframeList, k: int, reach_m: float = LOOP_REACH_M) -> PointCloud:
-    """The points of a key frame within reach_m, in its own frame."""
+def observed_by(
+    keyframes: KeyframeList, k: int, pose: Floats, reach_m: float = LOOP_REACH_M
+) -> tuple[PointCloud, Floats]:
+    """The points of a key frame within reach_m, and the origin of its beams, (2,) m, in the frame in which it
+    has a pose (3,).
+    """
     kept = keyframes.thinned[k]
     near = (kept.xy_base * kept.xy_base).sum(axis=1) < reach_m * reach_m
     xy, normals = kept.xy_base[near].astype(np.float64), kept.normals[near].astype(np.float64)
-    return cloud_with_noise(xy, normals, float(keyframes.range_sigma_m[k]))
+    cloud = cloud_with_noise(xy, normals, float(keyframes.range_sigma_m[k]))
+    return cloud.transformed(pose), se2.points_from(pose, np.array(kept.sensor_xy_m))
 
 
 class CandidateSubmap:
@@ -84,14 +87,9 @@ class CandidateSubmap:
         self._space: OccupancyGrid | None = None
         self._pyramid: MaxPyramid | None = None
         # For the free space alone.
-        self._clouds = [cloud_of(keyframes, [k], reference, poses) for k in self.members]
-        self._sensors = [
-            se2.points_from(
-                se2.between(poses[reference], poses[k]), np.array(keyframes.thinned[k].sensor_xy_m)
-            )
-            for k in self.members
-        ]
-        merged = joined(self._clouds)
+        origin = poses[reference]
+        self._seen = [observed_by(keyframes, k, se2.between(origin, poses[k])) for k in self.members]
+        merged = joined([cloud for cloud, _ in self._seen])
         self._xy = merged.xy
         self._surfels = SurfelSet(merged)
 
@@ -161,25 +159,25 @@ class CandidateSubmap:
 
     def _free(self) -> OccupancyGrid:
         if self._space is None:
-            self._space = free_space(self._clouds, self._sensors)
-            self._clouds, self._sensors = [], []
+            self._space = free_space(self._seen)
+            self._seen = []
         return self._space
 
 
-def free_space(clouds: Sequence[PointCloud], sensors: Sequence[Floats]) -> OccupancyGrid:
-    """Ground that key frames observed. sensors: (2,) m each, origin of the beams, in the clouds' frame."""
+def free_space(seen: Sequence[tuple[PointCloud, Floats]]) -> OccupancyGrid:
+    """Ground that key frames observed, each as of observed_by."""
     cells = (occupancy.GRID_TILE_CELLS,) * 2
     tiles = TileMap(
         TilePool((Layer(cells, np.int8), Layer(cells, np.uint16), Layer((), np.uint8)), CLOUD_POOL_TILES)
     )
-    cover(tiles, occupancy.GRID_TILE_BITS, np.concatenate((joined(clouds).xy, sensors)))
+    extent = np.concatenate([np.vstack((cloud.xy, sensor)) for cloud, sensor in seen])
+    cover(tiles, occupancy.GRID_TILE_BITS, extent)
     evidence, touched, changed = tiles.pool.arrays
     ground = OccupancyGrid(tiles.index(), evidence, touched, changed, CELL_M)  # type: ignore[arg-type]
-    for number in range(0, len(clouds), TRACED_EVERY):
-        ends, sensor = clouds[number].xy, sensors[number]
-        if len(ends):
-            scan_number = np.uint16(number // TRACED_EVERY % np.iinfo(np.uint16).max + 1)
-            trace_scan(ends, sensor, np.zeros(3), ground, EVIDENCE, LOOP_REACH_M, scan_number)
+    for number, (cloud, sensor) in enumerate(seen[::TRACED_EVERY]):
+        if len(cloud.xy):
+            scan_number = np.uint16(number % np.iinfo(np.uint16).max + 1)
+            trace_scan(cloud.xy, sensor, np.zeros(3), ground, EVIDENCE, LOOP_REACH_M, scan_number)
     return ground
 
 
@@ -208,10 +206,10 @@ def seen_cloud(keyframes: KeyframeList, members: Sequence[int], reference: int) 
     odom = keyframes.odom
     clouds, sensors, number = [], [], []
     for n, k in enumerate(members):
-        step = se2.between(odom[reference], odom[k])
-        clouds.append(seen_by(keyframes, k, EVIDENCE_RANGE_M).transformed(step))
-        count = len(clouds[-1].xy)
-        sensors.append(np.tile(se2.points_from(step, np.array(keyframes.thinned[k].sensor_xy_m)), (count, 1)))
+        cloud, sensor = observed_by(keyframes, k, se2.between(odom[reference], odom[k]), EVIDENCE_RANGE_M)
+        count = len(cloud.xy)
+        clouds.append(cloud)
+        sensors.append(np.tile(sensor, (count, 1)))
         number.append(np.full(count, n))
     cloud = joined(clouds)
     walls = np.empty(len(cloud.xy), np.int64)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from service.geometry import poses as se2
 from service.geometry.poses import Floats
 from service.kernels import occupancy
 from service.kernels.beam_likelihood import (
@@ -40,7 +39,7 @@ from service.mapper.graph.model.candidate_submap import (
     TRACED_EVERY,
     SeenCloud,
     free_space,
-    seen_by,
+    observed_by,
 )
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.point_clouds import CELL_M, Fit, PointCloud, SurfelSet, joined
@@ -114,18 +113,14 @@ class KnownMap:
 
     def __init__(self, keyframes: KeyframeList, known: npt.NDArray[np.int64]) -> None:
         self.known = known
-        clouds = [seen_by(keyframes, k).transformed(keyframes.map[k]) for k in known.tolist()]
-        merged = joined(clouds)
+        seen = [observed_by(keyframes, k, keyframes.map[k]) for k in known.tolist()]
+        merged = joined([cloud for cloud, _ in seen])
         self._walls = SurfelSet(merged)
         few = _one_of_each_cell(merged)
         self._field = _field(few)
-        sensors = [
-            se2.points_from(keyframes.map[k], np.array([keyframes.thinned[k].sensor_xy_m]))[0]
-            for k in known.tolist()
-        ]
-        self._ground = free_space(clouds, sensors)
+        self._ground = free_space(seen)
         self._facing = _facing_pyramid(few, self._ground)
-        self._known_ground = _known_ground_of(clouds, sensors, self._walls.grid(), self._ground)
+        self._known_ground = _known_ground_of(seen, merged.xy, self._walls.grid(), self._ground)
         self._evaluated = 0
 
     @property
@@ -311,12 +306,11 @@ def _field(cloud: PointCloud) -> MaxPyramid:
 
 
 def _known_ground_of(
-    clouds: list[PointCloud], sensors: list[Floats], walls: SurfelGrid, ground: OccupancyGrid
+    seen: list[tuple[PointCloud, Floats]], xy: Floats, walls: SurfelGrid, ground: OccupancyGrid
 ) -> KnownGround:
     through_count = np.zeros(walls.surfels.shape[:4], np.float32)
-    for cloud, sensor in zip(clouds[::TRACED_EVERY], sensors[::TRACED_EVERY], strict=True):
+    for cloud, sensor in seen[::TRACED_EVERY]:
         count_beams_through(cloud.xy, sensor, walls, float(TRACED_EVERY), through_count)
-    xy = joined(clouds).xy
     low = np.floor(xy.min(axis=0) / POINT_CELL_M).astype(np.int64) - POINT_REACH
     high = np.floor(xy.max(axis=0) / POINT_CELL_M).astype(np.int64) + POINT_REACH + 1
     points = np.zeros((high[1] - low[1], high[0] - low[0]), np.uint8)
