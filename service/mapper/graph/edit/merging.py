@@ -48,7 +48,6 @@ def merge_graphs(
     second: SavedGraph,
     renderer: MapRenderer | None,
     pose_first_second: Floats | None = None,
-    config: LoopsConfig | None = None,
 ) -> Merged:
     """Find the place of the second map in the first, and optimise both as one graph.
 
@@ -56,7 +55,7 @@ def merge_graphs(
 
     Raises MergeError if too few places of the second are found in the first.
     """
-    config = config or LoopsConfig()
+    config = LoopsConfig()
     both = together(first, second)
     finds = 0
     if pose_first_second is None:

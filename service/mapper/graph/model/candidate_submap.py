@@ -51,12 +51,10 @@ EVIDENCE_RANGE_M = 30.0
 SEEN_CELL_M = 0.2  # points of several key frames in a cell of this size share their weight
 
 
-def cloud_of(
-    keyframes: KeyframeList, members: Iterable[int], reference: int, poses: Floats | None = None
-) -> PointCloud:
-    """Points of key frames in the frame of `reference`, placed by odometry or by `poses`, (N, 3) of all."""
-    poses = keyframes.odom if poses is None else poses
-    return joined([observed_by(keyframes, k, se2.between(poses[reference], poses[k]))[0] for k in members])
+def cloud_of(keyframes: KeyframeList, members: Iterable[int], reference: int) -> PointCloud:
+    """Points of key frames in the frame of `reference`, placed by odometry."""
+    odom = keyframes.odom
+    return joined([observed_by(keyframes, k, se2.between(odom[reference], odom[k]))[0] for k in members])
 
 
 def observed_by(

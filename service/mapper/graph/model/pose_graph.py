@@ -113,18 +113,16 @@ def edge_chi2(edges: Edges, poses: Floats) -> Floats:
     return np.asarray(np.einsum("ki,ki->k", error, solved))
 
 
-def to_g2o(graph: PoseGraph, poses: Floats | None = None, landmarks: Floats | None = None) -> str:
-    """The graph as g2o text, at a solution or the first guess: VERTEX_SE2, EDGE_SE2, VERTEX_XY, EDGE_SE2_XY.
+def to_g2o(graph: PoseGraph) -> str:
+    """The graph as g2o text, at its first guess: VERTEX_SE2, EDGE_SE2, VERTEX_XY, EDGE_SE2_XY.
 
     Landmarks are numbered after the poses. Each sighting is written twice: as EDGE_SE2_XY for g2o and as BR
     (bearing and range) for GTSAM; each skips the other. FIX comes last: GTSAM 4.3 reads no edge after it. The
     format has no robust kernels.
     """
-    poses = graph.poses if poses is None else poses
-    landmarks = graph.landmarks if landmarks is None else landmarks
-    edges, sightings = graph.edges, graph.sightings
+    poses, edges, sightings = graph.poses, graph.edges, graph.sightings
     lines = [f"VERTEX_SE2 {k} {_numbers(pose)}" for k, pose in enumerate(poses)]
-    lines += [f"VERTEX_XY {len(poses) + k} {_numbers(xy)}" for k, xy in enumerate(landmarks)]
+    lines += [f"VERTEX_XY {len(poses) + k} {_numbers(xy)}" for k, xy in enumerate(graph.landmarks)]
     upper3, upper2 = np.triu_indices(3), np.triu_indices(2)
     for of, to, measured, covariance in zip(
         edges.of, edges.to, edges.measured, edges.covariance, strict=True
