@@ -14,7 +14,6 @@ model for scan matching, moving object detection and motion estimation, ICRA 201
 """
 
 import math
-from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -24,19 +23,19 @@ from service.estimator.motion import Prediction
 from service.geometry.se2 import SE2
 from service.kernels.beam_likelihood import WALL_SIGMA_M
 from service.kernels.filter_state import STUDENT
-from service.kernels.match import Prior, student_cost
+from service.kernels.match import Prior
 from service.kernels.wall_groups import group_by_wall
-from service.mapper.judgement import JUMP_CHI2, MIN_CONFIRMING, chi2_between, is_loose, sigmas_of
+from service.mapper.judgement import JUMP_CHI2, MIN_CONFIRMING, is_loose, sigmas_of
 from service.mapper.scan_match.attempt import Aligned, Attempt, Matrix, chi2_of
+from service.mapper.scan_match.inertia import MAX_UNSEEN_S, USUAL, SteadyMotion, inertia_cost
 from service.mapper.scan_match.reckoning import (
+    MATCH_COVARIANCE,
     MATCH_SIGMA_M,
     MATCH_SIGMA_RAD,
-    USUAL,
     WINDOW_NS,
     Conflict,
     Reckoning,
     by_speed,
-    velocity_variance,
 )
 from service.mapper.scan_match.submaps import STATIC_PATH_M, Submap
 from service.outputs import NO_REASON, Reason, State
@@ -54,39 +53,6 @@ MIN_STATIC_SHARE = 0.2  # of the returns on static walls, at either pose; below 
 MIN_STATIC_AGREEMENT = 0.7  # of the beams that meet static walls or pass through them
 ON_WALL_M = 0.05  # largest distance of an inlier from a static wall
 NOTHING_MOVES = -1  # ns, before all stamps
-MIN_STEP_NS = 20_000_000  # between poses that give a velocity
-MAX_UNSEEN_S = 1.0  # between two scans: after a longer gap the velocity may differ, or the vehicle was moved
-
-
-class SteadyMotion:
-    """Prediction at the velocity of the last matches, independent of odometry."""
-
-    def __init__(self) -> None:
-        # Stamps and poses; first and last are MIN_STEP_NS apart, because scans of several lasers are close.
-        self._matched: deque[tuple[int, SE2]] = deque()
-
-    def matched(self, stamp_ns: int, pose: SE2) -> None:
-        """Add a match."""
-        self._matched.append((stamp_ns, pose))
-        while len(self._matched) > 2 and stamp_ns - self._matched[1][0] >= MIN_STEP_NS:
-            self._matched.popleft()
-
-    @property
-    def last(self) -> SE2 | None:
-        """Pose of the newest match; None: there was none."""
-        return self._matched[-1][1] if self._matched else None
-
-    def pose_at(self, stamp_ns: int) -> SE2 | None:
-        """The predicted pose; None without a velocity, or for a stamp too far ahead."""
-        if len(self._matched) < 2:
-            return None
-        (before_ns, before), (last_ns, last) = self._matched[0], self._matched[-1]
-        step_ns, ahead_ns = last_ns - before_ns, stamp_ns - last_ns
-        if step_ns < MIN_STEP_NS or ahead_ns <= 0 or max(step_ns, ahead_ns) * 1e-9 > MAX_UNSEEN_S:
-            return None
-        steps = ahead_ns / step_ns
-        forward_m, left_m, turn_rad = (before.inverse() @ last).log()
-        return last @ SE2.exp(steps * forward_m, steps * left_m, steps * turn_rad)
 
 
 def evidence_nats(of_odometry: Matrix, of_laser: Matrix, beam: npt.NDArray[np.int32]) -> float:
@@ -99,27 +65,6 @@ def evidence_nats(of_odometry: Matrix, of_laser: Matrix, beam: npt.NDArray[np.in
     group = beam // BEAMS_TOGETHER
     sums, counts = np.bincount(group, weights=ratio), np.bincount(group)
     return float((sums[counts > 0] / counts[counts > 0]).sum())
-
-
-def inertia_nats(
-    constant_velocity: SE2, by_odometry: SE2, by_laser: SE2, elapsed_s: float, covariance: Matrix
-) -> float:
-    """Log-likelihood ratio of two steps by constant velocity, nats.
-
-    constant_velocity       predicted pose at the velocity between the last matches
-    by_odometry   pose by odometry, from the last match; by_laser: by the scan
-    elapsed_s     since the last match
-    covariance    (3, 3) of the prediction, base axes
-    """
-    way_m2, turn_rad2 = velocity_variance(elapsed_s)
-    covariance = covariance + np.diag(
-        [way_m2 + MATCH_SIGMA_M**2, way_m2 + MATCH_SIGMA_M**2, turn_rad2 + MATCH_SIGMA_RAD**2]
-    )
-    odometry_cost, laser_cost = (
-        student_cost(chi2_between(constant_velocity, pose, covariance), STUDENT)
-        for pose in (by_odometry, by_laser)
-    )
-    return float(laser_cost - odometry_cost)
 
 
 def _log_likelihood(residual_m: Matrix) -> Matrix:
@@ -267,8 +212,13 @@ class MovingScene:
         if last is None or constant_velocity is None or not predicted.is_measured:
             return 0.0
         step = predicted.increment or by_speed(predicted)
-        poses = last @ step.pose, by_laser.pose
-        return inertia_nats(constant_velocity, *poses, predicted.elapsed_s, attempt.prior.covariance)
+        covariance = attempt.prior.covariance + MATCH_COVARIANCE
+        newest = [
+            inertia_cost(constant_velocity, pose, predicted.elapsed_s, covariance)
+            for pose in (last @ step.pose, by_laser.pose)
+        ]
+        odometry_cost, laser_cost = map(max, newest, self._reckoning.inertia_costs())
+        return laser_cost - odometry_cost
 
     def _align_static(self, attempt: Attempt, prior: Prior, submap: Submap) -> tuple[Aligned, float]:
         """The match of the points on static walls, from a prior, and their share of all points."""

@@ -3,20 +3,21 @@
 import math
 from collections import deque
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from service.estimator.estimator import EstimatorConfig
 from service.estimator.motion import OdometryIncrement, Prediction
 from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.estimator import MAX_SILENT_S
 from service.mapper.scan_match.attempt import Matrix
+from service.mapper.scan_match.inertia import USUAL, largest_inertia_cost, velocity_variance
 
 # Over which both paths are compared, whichever is shorter; a window without moving returns is static again.
 WINDOW_NS, PATH_WINDOW_M = 1_000_000_000, 0.5
-USUAL = EstimatorConfig()  # process noise of a vehicle and noise of odometry, before learning
 MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
+MATCH_COVARIANCE = np.diag([MATCH_SIGMA_M**2, MATCH_SIGMA_M**2, MATCH_SIGMA_RAD**2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +84,16 @@ class Reckoning:
             steps.popleft()
         return _conflict(steps[0], newest)
 
+    def inertia_costs(self) -> tuple[float, float]:
+        """Largest costs of a change of velocity before the newest step, nats: by odometry, by matches."""
+        steps = list(self._steps)[:-1]
+        reckoned = (
+            (end.stamp_ns, end.reckoned, _covariance_between(begin, end))
+            for begin, end in pairwise(steps[:1] + steps)
+        )
+        matched = ((step.stamp_ns, step.matched, MATCH_COVARIANCE) for step in steps)
+        return largest_inertia_cost(reckoned), largest_inertia_cost(matched)
+
 
 def by_speed(predicted: Prediction) -> OdometryIncrement:
     """A step at constant velocity: between scans of two lasers there may be no sample of odometry."""
@@ -94,10 +105,10 @@ def by_speed(predicted: Prediction) -> OdometryIncrement:
     )
 
 
-def velocity_variance(elapsed_s: float) -> tuple[float, float]:
-    """(m^2, rad^2) by which a vehicle may deviate from constant velocity."""
-    integrated_s3 = elapsed_s**3 / 3.0
-    return USUAL.acceleration**2 * integrated_s3, USUAL.turn_acceleration**2 * integrated_s3
+def _covariance_between(begin: _Step, end: _Step) -> Matrix:
+    """(3, 3) of the path by odometry between two steps, base axes."""
+    way_m2, turn_rad2 = end.variance_m2 - begin.variance_m2, end.variance_rad2 - begin.variance_rad2
+    return np.diag([way_m2, way_m2, turn_rad2])
 
 
 def _conflict(begin: _Step, end: _Step) -> Conflict | None:

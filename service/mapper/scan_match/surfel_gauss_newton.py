@@ -40,7 +40,8 @@ from service.mapper.matchers.window_search import (
     search_around,
 )
 from service.mapper.scan_match.attempt import Aligned, Attempt, chi2_of, turned_about
-from service.mapper.scan_match.moving_scene import MovingScene, SteadyMotion
+from service.mapper.scan_match.inertia import SteadyMotion
+from service.mapper.scan_match.moving_scene import MovingScene
 from service.mapper.scan_match.posts import Posts, posts_of
 from service.mapper.scan_match.range_bias import SAME_WALL_M, RangeBias
 from service.mapper.scan_match.submaps import SURFEL_SIGMA_M, Submap, SurfelSubmaps

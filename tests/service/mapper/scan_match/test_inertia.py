@@ -1,12 +1,14 @@
-"""Where a vehicle would be had it gone on as before."""
+"""Where a vehicle would be had it gone on as before, and what a change of its velocity costs."""
 
+import numpy as np
 import pytest
 
 from service.geometry.se2 import SE2
-from service.mapper.scan_match.moving_scene import SteadyMotion
+from service.mapper.scan_match.inertia import SteadyMotion, inertia_cost, largest_inertia_cost
 
 MS = 1_000_000
 STEP = SE2.exp(0.1, 0.01, 0.05)  # of 100 ms
+COVARIANCE = np.diag([0.003**2, 0.003**2, 0.001**2])
 
 
 def driven(*stamps_ms: int) -> SteadyMotion:
@@ -40,3 +42,22 @@ def test_two_lasers_one_right_behind_the_other_make_no_step() -> None:
     assert motion_pose is not None
     forward_m, _, _ = apart(motion_pose, at(200))
     assert abs(forward_m) < 0.025
+
+
+@pytest.mark.parametrize(("elapsed_s", "least", "most"), [(0.04, 5.0, 20.0), (1.5, 0.0, 0.1)])
+def test_a_vehicle_does_not_stop_within_a_scan_but_within_a_second(
+    elapsed_s: float, least: float, most: float
+) -> None:
+    assert inertia_cost(SE2(0.04), SE2(0.04), elapsed_s, COVARIANCE) == 0.0
+    assert least <= inertia_cost(SE2(0.04), SE2(-0.03), elapsed_s, COVARIANCE) <= most
+
+
+def test_a_path_costs_its_largest_change_of_velocity() -> None:
+    def path_cost(*x_m: float) -> float:
+        return largest_inertia_cost((40 * k * MS, SE2(x), COVARIANCE) for k, x in enumerate(x_m))
+
+    assert path_cost() == path_cost(0.0) == path_cost(0.0, 0.5) == 0.0
+    assert path_cost(0.0, 0.06, 0.12, 0.18) == pytest.approx(0.0, abs=1e-9)
+    jump = path_cost(0.0, 0.06, 0.15, 0.24, 0.33)  # at once half as fast again
+    assert jump > 5.0
+    assert path_cost(0.0, 0.06, 0.15, 0.24, 0.30) == pytest.approx(jump)  # and back
