@@ -17,7 +17,7 @@ from service.mapper.scan_match.inertia import USUAL, largest_inertia_cost, veloc
 # Over which both paths are compared, whichever is shorter; a window without moving returns is static again.
 WINDOW_NS, PATH_WINDOW_M = 1_000_000_000, 0.5
 MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
-MATCH_COVARIANCE = np.diag([MATCH_SIGMA_M**2, MATCH_SIGMA_M**2, MATCH_SIGMA_RAD**2])
+MATCH_COVARIANCE = np.diag([MATCH_SIGMA_M**2, MATCH_SIGMA_M**2, MATCH_SIGMA_RAD**2])  # (3, 3), base axes
 
 
 @dataclass(frozen=True, slots=True)
