@@ -56,12 +56,27 @@ def test_the_middle_of_a_post_is_found_from_every_side(radius_m: float, bearing_
     assert math.hypot(xy[0] - middle[0], xy[1] - middle[1]) < 0.03
 
 
-def test_what_stands_half_behind_another_or_at_the_edge_of_the_view_is_left_out():
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_what_stands_half_behind_another_or_at_the_edge_of_the_view_is_left_out(side: float):
     whole = [(3.0 * math.cos(bearing), 3.0 * math.sin(bearing), 0.2) for bearing in (-1.2, -0.6, 0.0, 0.6)]
-    behind = (6.0, 0.35, 0.2)
-    edge = (4.0 * math.cos(FIRST_RAD), 4.0 * math.sin(FIRST_RAD), 0.2)
+    behind = (6.0, side * 0.35, 0.2)
+    edge_rad = FIRST_RAD if side > 0.0 else FIRST_RAD + STEP_RAD * (BEAMS - 1)
+    edge = (4.0 * math.cos(edge_rad), 4.0 * math.sin(edge_rad), 0.2)
     xy = found(seen([*whole, behind, edge]))
     assert xy == pytest.approx(np.array(whole)[:, :2], abs=0.03)
+
+
+def test_returns_that_are_missing_here_and_there_do_not_divide_a_post():
+    whole = [(3.0 * math.cos(bearing), 3.0 * math.sin(bearing), 0.3) for bearing in (-1.2, -0.6, 0.0, 0.6)]
+    points = seen(whole)
+    is_kept = points.beam % 7 != 0
+    points = points._replace(
+        xy_raw=points.xy_raw[is_kept],
+        xy_base=points.xy_base[is_kept],
+        beam_time_s=points.beam_time_s[is_kept],
+        beam=points.beam[is_kept],
+    )
+    assert found(points) == pytest.approx(np.array(whole)[:, :2], abs=0.06)
 
 
 def on_each_second_beam(points: Points) -> Points:
