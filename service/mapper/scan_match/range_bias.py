@@ -21,7 +21,6 @@ OFFSET_STEP_M, OFFSET_SIGMAS = 0.001, 2.0
 # scale of the map, and in a corridor to motion. The offset is estimated separately, from the angles at which
 # walls are seen.
 SMOOTH_SIGMA_M = 5e-4
-SAME_WALL_M = 0.05  # of travel: scans within one key frame distance match the same noise of the map
 
 
 def _prior() -> Floats:
@@ -65,11 +64,11 @@ class RangeBias:
         )
         return points._replace(xy_base=xy_base, xy_raw=xy_raw)
 
-    def is_due(self, sensor: str, travel_m: float) -> bool:
-        """Whether SAME_WALL_M was travelled since the last update; adds travel_m."""
+    def is_due(self, sensor: str, travel_m: float, step_m: float) -> bool:
+        """Whether step_m was travelled since the last update; adds travel_m."""
         learnt = self._learnt[sensor]
         learnt.travel_m += travel_m
-        return learnt.travel_m >= SAME_WALL_M
+        return learnt.travel_m >= step_m
 
     def learn(
         self,

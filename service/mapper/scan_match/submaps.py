@@ -11,6 +11,7 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
 from service.kernels.static_score import (
+    ENTERED_FREE,
     Observations,
     count_hits,
     remove_by_ray_cast,
@@ -55,7 +56,8 @@ MAX_MISSES = 3  # then another segment is begun
 # What is seen over so much of the path is static: no object moves along for longer. In a cell that was free
 # before it may be one of several objects that follow each other.
 STATIC_PATH_M, ARRIVED_PATH_M = 1.0, 3.0
-MARK_M, MAX_MARK = 0.05, 32_767  # of the path, from one mark to the next; below ENTERED_FREE
+MARK_M = 0.05  # of the path, from one mark to the next
+MAX_MARK = int(ENTERED_FREE) - 1  # the flag lies above all marks
 
 
 class SubmapsConfig(Section):
@@ -78,6 +80,7 @@ class Submap:
         self.number = number
         self.narrow_walls = NarrowWalls(narrow, config.cell_m, GRAZING_WEIGHT)
         self.scan_count = 0
+        self.keyframe_distance_m = config.keyframe_distance_m  # scans within it match the same noise
         self._last_ns: int | None = None  # of its newest key frame
         self._last_pose: SE2 | None = None
         self._path_m = 0.0  # over its key frames

@@ -43,7 +43,7 @@ from service.mapper.scan_match.attempt import Aligned, Attempt, chi2_of, turned_
 from service.mapper.scan_match.inertia import SteadyMotion
 from service.mapper.scan_match.moving_scene import MovingScene
 from service.mapper.scan_match.posts import Posts, posts_of
-from service.mapper.scan_match.range_bias import SAME_WALL_M, RangeBias
+from service.mapper.scan_match.range_bias import RangeBias
 from service.mapper.scan_match.submaps import SURFEL_SIGMA_M, Submap, SurfelSubmaps
 from service.mapper.surfel_alignment import ALIGNMENT
 from service.outputs import Reason, State
@@ -54,7 +54,7 @@ CHANCE_M = 1.0  # of travel, over which chance information along an open directi
 MAX_CHANCE_SCANS = 50.0  # scans within CHANCE_M that count in it
 MAX_REPEATS = 100.0  # scans with the same noise of the map, at standstill
 GAUSSIAN = 1e9  # degrees of freedom of a Gaussian error
-LESS_LIKELY_CHI2 = 4.6  # 2 ln 10: a tenth as likely by the prediction
+LESS_LIKELY_CHI2 = 2.0 * math.log(10.0)  # a tenth as likely by the prediction
 USUAL_SCANS = 50  # over which the usual inlier ratio is averaged
 DOUBT_RATIO = 0.9  # factor on the usual inlier ratio, below which other initial poses are tried
 
@@ -240,7 +240,8 @@ class SurfelGaussNewton:
         if self._gap is not None or aligned.result.share < DOUBT_RATIO * attempt.usual_ratio:
             return
         sensor = attempt.points.scan.sensor
-        if attempt.posts is not None or not self._bias.is_due(sensor, attempt.predicted.travel_m):
+        travel_m, step_m = attempt.predicted.travel_m, aligned.submap.keyframe_distance_m
+        if attempt.posts is not None or not self._bias.is_due(sensor, travel_m, step_m):
             return
         deskewed, normals = attempt.points._replace(xy_base=aligned.xy_base), attempt.normals.copy()
         aligned.submap.weigh(deskewed, aligned.result.pose, aligned.submap.grid(), normals)
@@ -271,6 +272,7 @@ class SurfelGaussNewton:
         if attempt.posts is not None:
             returns, normals, xy_base = _with_posts(attempt, attempt.posts, normals, start[2])
         is_scan_alone, chance_chi2 = predicted.is_scan_alone, _chance_chi2(predicted)
+        step_m = submap.keyframe_distance_m
         result: MatchResult = match_scan(
             returns,
             normals,
@@ -281,7 +283,7 @@ class SurfelGaussNewton:
             grid if is_scan_alone else submap.fine_grid(),
             self._settings._replace(
                 range_sigma_m=points.range_sigma_m,
-                repeats=max(1.0, SAME_WALL_M / _travel_m(predicted)),
+                repeats=max(1.0, step_m / max(predicted.travel_m, step_m / MAX_REPEATS)),
                 chance_chi2=0.0 if is_scan_alone else chance_chi2,
                 information_chance_chi2=chance_chi2,
                 degrees_of_freedom=GAUSSIAN if is_constrained else STUDENT,
@@ -397,14 +399,10 @@ def _unmeasured(pause_s: float) -> Reason:
     )
 
 
-def _travel_m(predicted: Prediction) -> float:
-    """Travel since the previous scan, m; at standstill SAME_WALL_M / MAX_REPEATS."""
-    return max(predicted.travel_m, SAME_WALL_M / MAX_REPEATS)
-
-
 def _chance_chi2(predicted: Prediction) -> float:
     """Squared sigmas of chance that are subtracted from the information of a scan; [22]."""
-    return 2.0 * math.log(min(max(CHANCE_M / _travel_m(predicted), 1.0), MAX_CHANCE_SCANS))
+    travel_m = max(predicted.travel_m, CHANCE_M / MAX_CHANCE_SCANS)
+    return 2.0 * math.log(max(CHANCE_M / travel_m, 1.0))
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:
