@@ -28,12 +28,11 @@ from service.mapper.graph.model.point_clouds import (
 )
 from service.mapper.maps.occupancy import EVIDENCE, FREE_EVIDENCE
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
-from service.mapper.matchers.window_search import thinned, window_around
+from service.mapper.matchers.window_search import SEARCH_BEAMS, thinned, window_around
 
 LOOP_FIELD_SIGMA_M = 0.12  # of the likelihood field: a cell and the remaining drift
 LOOP_SEARCH_LEVELS = 7
 LOOP_REACH_M = 15.0  # farther points are ignored: they are few, and sensitive to rotation
-LOOP_SEARCH_POINTS = 200
 # Likelihood of a point on ground that the sub-map has not observed: below that of a point on a wall, so that
 # known ground is preferred.
 LOOP_UNKNOWN_LIKELIHOOD = 0.7
@@ -104,7 +103,7 @@ class CandidateSubmap:
         if not len(cloud.xy) or not len(self._xy):
             return None
         window = window_around(pose, (reach_m, reach_rad), self.pyramid(), step_rad)
-        found = search_branch_and_bound(thinned(cloud.xy, LOOP_SEARCH_POINTS), self.pyramid(), window, least)
+        found = search_branch_and_bound(thinned(cloud.xy, SEARCH_BEAMS), self.pyramid(), window, least)
         return found.pose if found.score >= least else None
 
     def align(self, cloud: PointCloud, pose: Floats) -> Fit:
