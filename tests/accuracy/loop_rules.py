@@ -102,7 +102,11 @@ RULES = (
         {"align_with_shared_errors": SurfelSet.align},
     ),
     Rule("less what chance gives ([22])", f"{GRAPH}.model.candidate_submap", {"CHANCE_CHI2": 0.0}),
-    Rule("open directions as expected", f"{GRAPH}.model.candidate_submap", {"MAX_MOVES": 0}),
+    Rule(
+        "open directions as expected",
+        f"{GRAPH}.model.candidate_submap.CandidateSubmap",
+        {"align_about": lambda submap, cloud, pose, *_: submap.align(cloud, pose)},
+    ),
     Rule(
         "noise of the laser itself",
         f"{GRAPH}.model.candidate_submap",

@@ -42,7 +42,6 @@ MIN_LOOP_SCORE = 0.5  # least mean likelihood of a search result: half of the po
 # each 2 m.
 CHANCE_CHI2 = 2.0 * math.log(30.0 / 2.0)
 REACH_SIGMAS = 3.5  # of the drift between two passes: half a window
-MAX_MOVES, SETTLED_SIGMAS = 3, 0.02  # towards the expected pose; step in sigmas at which it stops
 TRACED_EVERY = 3  # key frames: neighbours observe the same free space
 # Distant walls distinguish places that are alike nearby. At this range a heading error of 0.04 deg moves a
 # point by the noise of a wall.
@@ -125,14 +124,9 @@ class CandidateSubmap:
         fit = self.align(cloud, pose)
         sigmas = np.array([reach_m, reach_m, reach_rad]) / REACH_SIGMAS
         prior = np.diag(sigmas**-2)
-        for _ in range(MAX_MOVES):
-            off = expected - fit.pose
-            off[2] = wrap_angle(off[2])
-            move = np.linalg.solve(fit.information + prior, prior @ off)
-            if abs(move / sigmas).max() < SETTLED_SIGMAS:
-                break
-            fit = self.align(cloud, fit.pose + move)
-        return fit
+        off = expected - fit.pose
+        off[2] = wrap_angle(off[2])
+        return self.align(cloud, fit.pose + np.linalg.solve(fit.information + prior, prior @ off))
 
     def against(self, cloud: PointCloud, pose: Floats) -> float:
         """Share of the points in free space of the sub-map, 0..1."""
