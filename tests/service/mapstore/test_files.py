@@ -168,12 +168,20 @@ def test_a_kill_while_an_old_version_goes_leaves_no_half_of_it(tmp_path, monkeyp
     assert not list(tmp_path.glob(".unfinished-*"))
 
 
-@pytest.mark.parametrize("step", range(60))
-def test_a_kill_at_any_call_of_the_system_leaves_the_old_or_the_new_map(tmp_path, monkeypatch, step):
-    """Each call that changes the folder is once the last one made before the process is gone."""
+@pytest.fixture(scope="module")
+def two_versions(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("two")
     for version in (1, 2):
-        save_map(tmp_path, [tile(0, 0, version, value=0)], version, graph=graph_of(4 * version))
+        save_map(folder, [tile(0, 0, version, value=0)], version, graph=graph_of(4 * version))
+    return folder
 
+
+@pytest.mark.parametrize("step", range(60))
+def test_a_kill_at_any_call_of_the_system_leaves_the_old_or_the_new_map(
+    two_versions, tmp_path, monkeypatch, step
+):
+    """Each call that changes the folder is once the last one made before the process is gone."""
+    shutil.copytree(two_versions, tmp_path, symlinks=True, dirs_exist_ok=True)
     calls = 0
 
     def counted(call):
@@ -205,10 +213,8 @@ def test_a_kill_at_any_call_of_the_system_leaves_the_old_or_the_new_map(tmp_path
     assert stored.saved_ns in ((2, 3) if killed else (3,))
     assert len(stored.graph) == 4 * stored.saved_ns
     assert (read_ros_map(tmp_path / "map.yaml").cells == (100 if stored.saved_ns == 3 else 0)).all()
-    assert save_map(tmp_path, [tile(0, 0, 4)], 4) in (
-        3,
-        4,
-    )  # the next save is not hindered by what lies about
+    # The next save is not hindered by what lies about.
+    assert save_map(tmp_path, [tile(0, 0, 4)], 4) in (3, 4)
     assert load_map(tmp_path).saved_ns == 4
     assert not list(tmp_path.glob(".unfinished-*"))
 
