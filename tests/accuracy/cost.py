@@ -55,7 +55,7 @@ def scans(seeds: Sequence[int]) -> Section:
     )
 
 
-def recording(seeds: Sequence[int]) -> Section:
+def replay_of_fr079(seeds: Sequence[int]) -> Section:
     """A process of its own, for its peak memory."""
     source = FR079 / "fr079.mcap"
     if not source.exists():
