@@ -86,9 +86,11 @@ def service(fake_vehicle: FakeVehicle, site: Path, remote: str, tmp_path: Path) 
         ros2={"enabled": True},
     )
     live.endpoint = local
-    live.start()
-    yield live
-    live.close()
+    try:
+        live.start()
+        yield live
+    finally:
+        live.close()
 
 
 def test_a_whole_drive(service: LiveService, site: Path, remote: str, subscribe: Subscribe):
