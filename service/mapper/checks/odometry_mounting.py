@@ -61,7 +61,7 @@ class OdometryMounting:
         self._waiting: tuple[int, SE2] | None = None  # a pose newer than odometry
         self._last: tuple[int, SE2, SE2] | None = None  # end of the last step: stamp, by scans, by odometry
         self._steps: deque[tuple[float, ...]] = deque(maxlen=STEPS)  # x, y, theta by scans, then by odometry
-        self._excess = 1.0  # least factor on the assumed variance of a step
+        self._excess = was.excess  # least factor on the assumed variance of a step
         self._count = 0  # of steps
 
     def add_odometry(self, sample: OdometrySample) -> None:
@@ -110,10 +110,11 @@ class OdometryMounting:
         newest = int(np.searchsorted(path_m, NEWEST_M)) + 1
         if len(steps) < 2 * newest or (was := offset_of(steps[:-newest], self._excess)) is None:
             return False
-        now = offset_of(steps[-newest:], was.excess)  # few steps do not show the noise
+        now = offset_of(steps[-newest:])
         if now is None or not is_another(was, now):
             return False
-        self._steps, self._excess = deque(list(self._steps)[-newest:], STEPS), was.excess
+        self._steps = deque(list(self._steps)[-newest:], STEPS)
+        self._excess = was.excess  # few steps do not show the noise
         return True
 
     def interrupt(self) -> None:

@@ -31,9 +31,14 @@ def drive(
     noise_m: float = 0.0,
     sample_each: int = 1,
     late_s: float = 0.0,
-) -> None:
-    """Scans and odometry of a vehicle whose base as configured sits at the offset in that of odometry."""
-    true, random = way(seconds), np.random.default_rng(1)
+    seed: int = 1,
+) -> set[str]:
+    """Scans and odometry of a vehicle whose base as configured sits at the offset in that of odometry.
+
+    Returns the faults at any time, "" among them where there was none.
+    """
+    faults = set()
+    true, random = way(seconds), np.random.default_rng(seed)
     for k in range(int(seconds * 1e9 / SCAN_NS)):
         stamp_ns = round(first_s * 1e9) + k * SCAN_NS
         at = true(k * SCAN_NS * 1e-9)
@@ -41,6 +46,8 @@ def drive(
         check.add_pose(stamp_ns, at @ offset @ off)
         if k % sample_each == 0:
             check.add_odometry(sample(stamp_ns + LATE_NS, true((k * SCAN_NS + LATE_NS) * 1e-9 - late_s)))
+        faults.add(str(check.fault))
+    return faults
 
 
 def sample(stamp_ns: int, pose: SE2) -> OdometrySample:
@@ -85,6 +92,12 @@ def test_noise_and_tolerances_of_a_mounting_make_no_fault(offset: SE2, seconds: 
     check = OdometryMounting()
     drive(offset, seconds, check, noise_m=noise_m)
     assert check.fault == ""
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_few_steps_after_another_mounting_do_not_forget_the_noise(seed: int):
+    """Three times the assumed one, so that the newest steps now and then seem to show another mounting."""
+    assert drive(SE2(), 120.0, OdometryMounting(), noise_m=0.03, seed=seed) == {""}
 
 
 def test_a_pause_of_odometry_or_scans_makes_no_step():
