@@ -61,7 +61,7 @@ class OdometryMounting:
         self._waiting: tuple[int, SE2] | None = None  # a pose newer than odometry
         self._last: tuple[int, SE2, SE2] | None = None  # end of the last step: stamp, by scans, by odometry
         self._steps: deque[tuple[float, ...]] = deque(maxlen=STEPS)  # x, y, theta by scans, then by odometry
-        self._excess = was.excess  # least factor on the assumed variance of a step
+        self._excess = 1.0  # least factor on the assumed variance of a step
         self._count = 0  # of steps
 
     def add_odometry(self, sample: OdometrySample) -> None:
