@@ -61,6 +61,7 @@ HealthReasonId = Literal[
     "no_pose",
     "overloaded",
     "no_loops",
+    "graph_behind",
     "mapper_restarted",
     # a sensor
     "link_down",

@@ -84,6 +84,7 @@ class BackEndProcess:
         self._expected_by_s = math.inf  # host monotonic; until then it may come
         self._unsent: list[_Work | _Copy] = []  # until it has
         self._submitted = 0
+        self._submitted_s: dict[int, float] = {}  # when the batches without an answer were, host monotonic
         self._answers: dict[int, Any] = {}
         self._answered = 0
         self._unwanted = 0  # answers up to this number are not awaited
@@ -114,6 +115,11 @@ class BackEndProcess:
         self._receive(0.0)
         return self._answered < self._submitted and not self.fault
 
+    @property
+    def behind_s(self) -> float:
+        """For how long the oldest batch without an answer has waited."""
+        return time.monotonic() - next(iter(self._submitted_s.values())) if self._submitted_s else 0.0
+
     def look(self) -> None:
         """Receive its messages, which also show that it lives."""
         self._receive(0.0)
@@ -121,6 +127,7 @@ class BackEndProcess:
     def new_worker(self, back_end: BackEnd) -> "ProcessWorker":
         self._unwanted = self._answered = self._submitted
         self._answers.clear()
+        self._submitted_s.clear()
         if not self.fault:
             self._leave()
             self._begin(back_end)
@@ -170,6 +177,7 @@ class BackEndProcess:
     def submit(self, batch: Any) -> int:
         """Number of the work."""
         self._submitted += 1
+        self._submitted_s[self._submitted] = time.monotonic()
         self._send(_Work(self._submitted, batch))
         return self._submitted
 
@@ -276,6 +284,7 @@ class BackEndProcess:
                     self._give_up(f"the back end failed: {message.words}")
                     continue
                 self._answered = message.number
+                self._submitted_s.pop(message.number, None)
                 if message.number > self._unwanted:
                     self._answers[message.number] = message.answer
         except ChannelClosedError as error:
@@ -297,6 +306,7 @@ class BackEndProcess:
         if self._channel is not None:
             self._channel.close()
             self._channel = None
+        self._submitted_s.clear()
         self.fault = self.fault or fault
 
 

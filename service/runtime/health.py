@@ -23,6 +23,7 @@ FIRST_POSE_NS = 5_000_000_000  # so long devices may take to log in
 RESTARTS_WITHIN_NS = 60_000_000_000
 MAX_RESTARTS = 1  # of the mapper in that time: one is what the stand-by is for, more are a fault that stays
 
+MAX_BEHIND_S = 30.0  # of the back end: a batch takes a second, one at a place that is searched for some
 LINE_NS = 10_000_000_000  # at least, from one line about a passing state to the next
 _PASSING = {"ok", "degraded", "overloaded"}  # states that may alternate
 
@@ -233,6 +234,7 @@ class HealthReport:
             "scan_rate_hz": f"{self._scan_rate.rate_hz:.1f}",
             "scans_dropped": str(self.scans_dropped),
             "queue_length": str(self._link.waiting),
+            "graph_behind_s": f"{outputs.graph_behind_s:.1f}",
             "restarts": str(outputs.restarts),
             "restart_reason": outputs.restart_reason,
         }
@@ -272,6 +274,12 @@ class HealthReport:
             words = (
                 f"no loops are closed (expected where a place is seen again): {outputs.graph_fault}; the map "
                 "may drift. Start the service again when the vehicle can wait"
+            )
+        if level == OK and outputs.graph_behind_s > MAX_BEHIND_S:
+            level, reason = WARNING, "graph_behind"
+            words = (
+                f"loops are closed {outputs.graph_behind_s:.0f} s late (expected within {MAX_BEHIND_S:g} s); "
+                "the map is corrected later. Does another program take the processor?"
             )
         if level == OK and len(self._restarted_ns) > MAX_RESTARTS:
             level, reason = WARNING, "mapper_restarted"

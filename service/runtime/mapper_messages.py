@@ -264,6 +264,7 @@ class Status:
     number: int  # the last item that it has taken
     counters: Mapping[str, int] = field(default_factory=dict)
     graph_fault: str = ""
+    graph_behind_s: float = 0.0  # that the oldest key frames given to the back end have waited
     geo_reference: GeoReference | None = None  # where the map lies on the earth
     cpu_s: float = 0.0  # of the process since its start
     is_localizing: bool = False  # the map stays as it is

@@ -119,6 +119,7 @@ class MapperProcess:
             setup.upside_down,
             prepare_map=prepare_map,
             prepare_profile=prepare_profile,
+            graph_behind_s=lambda: self._back_end.behind_s,
         )
         self._reported_can_copy = self._can_copy
         self._items: deque[Item] = deque()

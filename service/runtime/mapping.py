@@ -89,6 +89,7 @@ class MappingLoop:
     prepare_map      makes a stored map that in which the session's next mapper begins. Raises CorridorError
     prepare_profile  makes a profile that of the session's next mapper, which begins a new map. Raises
                      CorridorError
+    graph_behind_s   as of Status
     """
 
     def __init__(
@@ -99,6 +100,7 @@ class MappingLoop:
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
         prepare_map: PrepareMap = no_stored_maps,
         prepare_profile: PrepareProfile = one_profile,
+        graph_behind_s: Callable[[], float] = lambda: 0.0,
     ) -> None:
         self.mapper = mapper
         self._timing = Timing(mapper.lasers, mapper.counters)
@@ -106,6 +108,7 @@ class MappingLoop:
         self._newest: FrameItem | None = None
         self._prepare_map = prepare_map
         self._prepare_profile = prepare_profile
+        self._graph_behind_s = graph_behind_s
         self._send = send
         self._upside_down = frozenset(upside_down)
         self._monotonic_ns = monotonic_ns
@@ -233,6 +236,7 @@ class MappingLoop:
                 number=self.number,
                 counters=dict(self.mapper.counters),
                 graph_fault=self.mapper.graph_fault,
+                graph_behind_s=self._graph_behind_s(),
                 geo_reference=self.mapper.geo_reference,
                 cpu_s=time.process_time(),
                 time_warnings=warnings,

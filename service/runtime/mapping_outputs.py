@@ -77,6 +77,7 @@ class MappingOutputs:
         self._overload: _Overload | None = None  # the newest, over or not
         self.counters: Mapping[str, int] = {}  # the mapper's own: scans, scans_dropped_late ...
         self.graph_fault = ""  # why no loop is closed any more, "" while loops are closed
+        self.graph_behind_s = 0.0  # as of Status
         self.time_warnings: tuple[str, ...] = ()  # faults of stamps and time fields
         self.is_localizing = False  # the map stays as it is
         self.last: Mapped | None = None
@@ -177,6 +178,7 @@ class MappingOutputs:
 
     def _take_status(self, status: Status) -> None:
         self.counters, self.graph_fault = status.counters, status.graph_fault
+        self.graph_behind_s = status.graph_behind_s
         self.time_warnings, self.is_localizing = status.time_warnings, status.is_localizing
         self.cpu_s = self._cpu_before_s + status.cpu_s
         if status.geo_reference != self.geo_reference:

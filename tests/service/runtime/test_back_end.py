@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -50,6 +51,30 @@ def test_work_is_done_in_order_by_one_state_in_another_process(process: BackEndP
     assert {pid for _, pid in results} == {process.pid}
     assert process.pid != os.getpid()
     assert all(p.ready for p in pending)
+
+
+def test_how_far_it_is_behind_is_the_age_of_the_oldest_work_without_an_answer(
+    process: BackEndProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    now_s = 100.0
+    monkeypatch.setattr(back_end, "time", SimpleNamespace(monotonic=lambda: now_s))
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    worker = process.new_worker(Adder())
+    assert process.behind_s == 0.0
+    first, second = worker.submit(pipe), worker.submit(1)
+    now_s = 107.0
+    third = worker.submit(2)
+    assert process.behind_s == 7.0
+    pipe.write_bytes(b"go on")
+    wait_until(lambda: second.ready and third.ready, words="the work is not done")
+    assert first.ready
+    assert process.behind_s == 0.0
+    worker.submit("hang")
+    now_s = 109.0
+    assert process.behind_s == 2.0
+    process.new_worker(Adder())
+    assert process.behind_s == 0.0
 
 
 def test_a_new_back_end_takes_the_place_of_one_that_is_closed(process: BackEndProcess):

@@ -10,7 +10,7 @@ import pytest
 from drivers.link import LinkHealth
 from service.encoding import ERROR, OK, STALE, WARNING, Status, decode_diagnostics
 from service.outputs import NO_REASON, REASON_PLACES, Reason
-from service.runtime.health import HealthReport, SensorHealth
+from service.runtime.health import MAX_BEHIND_S, HealthReport, SensorHealth
 from service.runtime.mapper_messages import Mapped
 from service.runtime.metrics import LatencyHistogram
 
@@ -46,6 +46,7 @@ def report(*links: LinkHealth) -> Report:
     """A report on parts that only have what it looks at."""
     outputs = SimpleNamespace(
         graph_fault="",
+        graph_behind_s=0.0,
         is_localizing=False,
         counters={"scans": 90, "scans_dropped_late": 2, "samples_dropped_late": 1},
         states=Counter(ok=90),
@@ -230,6 +231,18 @@ def test_a_graph_that_does_no_work_is_a_warning():
     assert facts.message.startswith(
         "no loops are closed (expected where a place is seen again): the process died; "
     )
+
+
+def test_a_back_end_that_is_far_behind_is_a_warning():
+    made = report(streaming())
+    made.parts.outputs.last = WELL
+    made.parts.outputs.graph_behind_s = MAX_BEHIND_S
+    assert status(made, "mapping").level == OK
+    made.parts.outputs.graph_behind_s = 488.25
+    facts = status(made, "mapping")
+    assert (facts.level, facts.values["reason_id"]) == (WARNING, "graph_behind")
+    assert facts.values["graph_behind_s"] == "488.2"
+    assert facts.message.startswith("loops are closed 488 s late (expected within 30 s); ")
 
 
 def test_a_mapper_that_is_restarted_again_and_again_is_a_warning_for_a_minute():
