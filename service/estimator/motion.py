@@ -60,6 +60,33 @@ class Prediction(Motion):
         """Whether only scans measure the motion; see scan_alone."""
         return scan_alone(self.is_measured, self.odometry_noise)
 
+    def after(self, earlier: "Prediction | None") -> "Prediction":
+        """The prediction since the scan before that of an earlier one, whose scan was not matched."""
+        if earlier is None:
+            return self
+        parts, elapsed_s = (earlier, self), earlier.elapsed_s + self.elapsed_s
+        measured_s = sum(part.elapsed_s for part in parts if part.increment is not None)
+        increment = None
+        if measured_s > 0.5 * elapsed_s:
+            (one, one_m2, one_rad2), (two, two_m2, two_rad2) = (
+                part.increment or part._increment_by_twist() for part in parts
+            )
+            way_m2 = one_m2 + two_m2 + one_rad2 * (two.x_m**2 + two.y_m**2)
+            increment = OdometryIncrement(one @ two, way_m2, one_rad2 + two_rad2)
+        return replace(
+            self,
+            elapsed_s=elapsed_s,
+            travel_m=earlier.travel_m + self.travel_m,
+            pause_s=max(earlier.pause_s, self.pause_s),
+            is_unconfirmed_stop=earlier.is_unconfirmed_stop or self.is_unconfirmed_stop,
+            increment=increment,
+        )
+
+    def _increment_by_twist(self) -> OdometryIncrement:
+        """Where no sample of odometry lies between the scans of two lasers."""
+        forward, left, turn = (self.elapsed_s * speed for speed in self.twist_base)
+        return OdometryIncrement(SE2.exp(forward, left, turn), 0.0, 0.0)
+
     def with_added_covariance(self, added: Matrix) -> "Prediction":
         """The prediction with a covariance (3, 3) added to the pose that is uncorrelated with the twist."""
         covariance = self.local_covariance + added

@@ -73,6 +73,7 @@ class Mapper(Generic[ReadableMap]):
         self._sample_ns: dict[type[Frame], int] = {}  # stamp of the newest accepted one, by type
         self._state = Verdict("ok", NO_REASON)  # of the newest mapped scan
         self._segment_motion = SegmentMotion()
+        self._unmatched: Prediction | None = None  # of the scans since the last one that was matched
         self.geo_reference = geo_reference  # None: not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
         self._checks = SensorChecks(self.counters)
@@ -120,7 +121,7 @@ class Mapper(Generic[ReadableMap]):
         if self._last_ns is None or at_ns <= self._last_ns:
             return
         self._last_ns = at_ns
-        self._predict(at_ns)
+        self._unmatched = self._predict(at_ns).after(self._unmatched)
         self.components.motion_model.correct(None)
 
     def _moment_of(self, scan: LaserScan) -> int | None:
@@ -211,7 +212,9 @@ class Mapper(Generic[ReadableMap]):
         if self._newest is None and scan.stamp_ns < at_ns:
             s.motion_model.begin_at(scan.stamp_ns)
         predicted = self._predict(at_ns)  # pose and twist
-        if refused := self._checks.refuse(scan, at_ns, predicted.travel_m):
+        travel_m, predicted = predicted.travel_m, predicted.after(self._unmatched)
+        self._unmatched = predicted
+        if refused := self._checks.refuse(scan, at_ns, travel_m):
             return self._output(scan, at_ns, s.motion_model.correct(None), refused, 0.0)
         points = s.deskew(scan, predicted, at_ns)  # base frame, one instant; keeps each beam's time
         watch.lap("deskew")
@@ -222,6 +225,7 @@ class Mapper(Generic[ReadableMap]):
         is_unmeasured = is_motion_unmeasured(predicted) or segment_s > 0.0
         if is_unmeasured and s.graph.finds_segments and isinstance(s.local_map, Detachable):
             s.local_map.detach(max(predicted.pause_s, segment_s))
+        self._unmatched = None
         match = s.matcher.match(points, predicted, s.local_map)  # pose against the map
         reason = of_laser(scan.sensor, match.reason)
         match = match._replace(motion=s.motion_model.correct(match.measured), reason=reason)

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -68,6 +68,9 @@ class Reckoning:
             self.restart(stamp_ns, matched)
             return None
         steps, step = self._steps, predicted.increment or by_speed(predicted)
+        if steps[-1].stamp_ns == stamp_ns:  # the same scan, matched in another way
+            steps[-1] = replace(steps[-1], matched=matched)
+            return _conflict(steps[0], steps[-1])
         last = steps[-1]
         newest = _Step(
             stamp_ns,

@@ -14,7 +14,11 @@ from service.mapper.localisation import UNCONFIRMED_PLACE
 from service.mapper.methods.shared import NoGraph
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
+from simulators.worlds import WORLDS
+from tests.accuracy.driving import Trip
+from tests.accuracy.sensors import GOOD_WHEELS, LMS100_10HZ, LUX_AHEAD
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, outputs_of, standing
+from tests.simulated import FORWARD, Imu, Laser
 
 
 @pytest.mark.parametrize("profile", ["contour_lm", "submap_graph"])
@@ -116,6 +120,23 @@ def true_pose(stamp_ns: int) -> SE2:
     """Seen from the first scan, which is one of the front laser."""
     first_ns = 10**9 + 1_234_567
     return ahead((first_ns - 10**9) * 1e-9).inverse() @ ahead((stamp_ns - 10**9) * 1e-9)
+
+
+@pytest.mark.parametrize("laser", [LMS100_10HZ, LUX_AHEAD], ids=["LMS-100", "LUX"])
+def test_scans_that_are_passed_over_do_not_shorten_the_path_of_odometry(laser: Laser):
+    """On a busy computer three of four are: odometry's step is that since the last one that was matched."""
+    made = Trip(WORLDS["office"], laser, 15.0, GOOD_WHEELS, Imu())._drive(5)
+    mapper = build_mapper(mapping_config(), {"front": FORWARD})
+    scans, outputs = 0, []
+    for frame in made.frames:
+        scans += isinstance(frame, LaserScan)
+        if isinstance(frame, LaserScan) and scans % 4 != 1:
+            mapper.skip(frame)
+        elif (output := mapper.process(frame)) is not None:
+            outputs.append(output)
+    assert {output.state for output in outputs} == {"ok"}
+    errors = [made.truth[output.stamp_ns].inverse() @ output.pose_map_base for output in outputs]
+    assert max(math.hypot(error.x_m, error.y_m) for error in errors) < 0.05
 
 
 def test_sweeps_of_two_lasers_overlap_and_every_one_is_mapped():

@@ -43,6 +43,13 @@ def test_a_matched_path_that_stands_while_odometry_drives_is_a_conflict_within_d
     assert STEP_M <= pose_m <= 0.2
 
 
+def test_a_scan_that_is_matched_twice_is_one_step_of_odometry() -> None:
+    reckoning = Reckoning()
+    for k in range(20):
+        for _ in range(2):
+            assert reckoning.add(k * STEP_NS, predicted(SE2(STEP_M)), SE2(k * STEP_M)) is None
+
+
 @pytest.mark.parametrize(("matched_m", "is_conflict"), [(0.0, True), (STEP_M, False)])
 def test_scans_of_two_lasers_between_two_samples_of_odometry_are_compared_too(
     matched_m: float, is_conflict: bool
