@@ -70,9 +70,11 @@ def test_how_far_it_is_behind_is_the_age_of_the_oldest_work_without_an_answer(
     wait_until(lambda: second.ready and third.ready, words="the work is not done")
     assert first.ready
     assert process.behind_s == 0.0
-    worker.submit("hang")
+    last = worker.submit(pipe)
     now_s = 109.0
     assert process.behind_s == 2.0
+    pipe.write_bytes(b"go on")  # a process that hangs would outlive the test
+    wait_until(lambda: last.ready, words="the work is not done")
     process.new_worker(Adder())
     assert process.behind_s == 0.0
 
