@@ -22,7 +22,7 @@ from service.mapper.components import (
     ReadableMap,
     Stopwatch,
 )
-from service.mapper.judgement import drift_of, is_motion_unmeasured, of_laser
+from service.mapper.judgement import drift_of, is_motion_unmeasured, of_laser, too_few
 from service.mapper.localisation import Localisation
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.occupancy import draw_standing
@@ -73,7 +73,7 @@ class Mapper(Generic[ReadableMap]):
         self._sample_ns: dict[type[Frame], int] = {}  # stamp of the newest accepted one, by type
         self._state = Verdict("ok", NO_REASON)  # of the newest mapped scan
         self._segment_motion = SegmentMotion()
-        self._unmatched: Prediction | None = None  # of the scans since the last one that was matched
+        self._unmatched: Prediction | None = None  # the newest; None: its scan was matched
         self.geo_reference = geo_reference  # None: not known
         self.counters: Counter[str] = Counter()  # scans, scans_dropped_late, samples_dropped_late ...
         self._checks = SensorChecks(self.counters)
@@ -121,7 +121,7 @@ class Mapper(Generic[ReadableMap]):
         if self._last_ns is None or at_ns <= self._last_ns:
             return
         self._last_ns = at_ns
-        self._unmatched = self._predict(at_ns).after(self._unmatched)
+        self._predict(at_ns)
         self.components.motion_model.correct(None)
 
     def _moment_of(self, scan: LaserScan) -> int | None:
@@ -201,7 +201,9 @@ class Mapper(Generic[ReadableMap]):
             self.components.free_space.replace_by(update.rendered_map, update.since)
 
     def _predict(self, stamp_ns: int) -> Prediction:
-        predicted = self.components.motion_model.predict(stamp_ns)
+        """The prediction since the last scan that was matched."""
+        predicted = self.components.motion_model.predict(stamp_ns).after(self._unmatched)
+        self._unmatched = predicted
         if predicted.samples_dropped:
             self.counters["samples_dropped_waiting"] += predicted.samples_dropped
         return predicted
@@ -212,9 +214,7 @@ class Mapper(Generic[ReadableMap]):
         if self._newest is None and scan.stamp_ns < at_ns:
             s.motion_model.begin_at(scan.stamp_ns)
         predicted = self._predict(at_ns)  # pose and twist
-        travel_m, predicted = predicted.travel_m, predicted.after(self._unmatched)
-        self._unmatched = predicted
-        if refused := self._checks.refuse(scan, at_ns, travel_m):
+        if refused := self._checks.refuse(scan, at_ns, predicted.travel_m):
             return self._output(scan, at_ns, s.motion_model.correct(None), refused, 0.0)
         points = s.deskew(scan, predicted, at_ns)  # base frame, one instant; keeps each beam's time
         watch.lap("deskew")
@@ -225,8 +225,9 @@ class Mapper(Generic[ReadableMap]):
         is_unmeasured = is_motion_unmeasured(predicted) or segment_s > 0.0
         if is_unmeasured and s.graph.finds_segments and isinstance(s.local_map, Detachable):
             s.local_map.detach(max(predicted.pause_s, segment_s))
-        self._unmatched = None
         match = s.matcher.match(points, predicted, s.local_map)  # pose against the map
+        if not too_few(points):
+            self._unmatched = None
         reason = of_laser(scan.sensor, match.reason)
         match = match._replace(motion=s.motion_model.correct(match.measured), reason=reason)
         watch.lap("match")
