@@ -200,21 +200,21 @@ class Mapper(Generic[ReadableMap]):
         if update.rendered_map is not None:
             self.components.free_space.replace_by(update.rendered_map, update.since)
 
-    def _predict(self, stamp_ns: int) -> Prediction:
-        """The prediction since the last scan that was matched."""
-        predicted = self.components.motion_model.predict(stamp_ns).after(self._unmatched)
-        self._unmatched = predicted
-        if predicted.samples_dropped:
-            self.counters["samples_dropped_waiting"] += predicted.samples_dropped
-        return predicted
+    def _predict(self, stamp_ns: int) -> tuple[float, Prediction]:
+        """Travel since the newest prediction, m, and the prediction since the last scan that was matched."""
+        newest = self.components.motion_model.predict(stamp_ns)
+        if newest.samples_dropped:
+            self.counters["samples_dropped_waiting"] += newest.samples_dropped
+        self._unmatched = newest.after(self._unmatched)
+        return newest.travel_m, self._unmatched
 
     def _process_scan(self, scan: LaserScan, at_ns: int) -> MapperOutput:
         s, watch = self.components, self._stopwatch
         watch.start()
         if self._newest is None and scan.stamp_ns < at_ns:
             s.motion_model.begin_at(scan.stamp_ns)
-        predicted = self._predict(at_ns)  # pose and twist
-        if refused := self._checks.refuse(scan, at_ns, predicted.travel_m):
+        travel_m, predicted = self._predict(at_ns)  # pose and twist
+        if refused := self._checks.refuse(scan, at_ns, travel_m):
             return self._output(scan, at_ns, s.motion_model.correct(None), refused, 0.0)
         points = s.deskew(scan, predicted, at_ns)  # base frame, one instant; keeps each beam's time
         watch.lap("deskew")

@@ -87,10 +87,13 @@ def _keep_silent_connections_out(session: zenoh.Session, config: PublishingConfi
     """
     found = [re.search(r":(\d+)$", place) for place in listened_at(session, config)]
     ports = {int(port[1]) for port in found if port is not None}
-    for door in own_internet_sockets():
+    for listening in own_internet_sockets():
         with suppress(OSError):  # closed meanwhile
-            if door.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and door.getsockname()[1] in ports:
-                door.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, _SILENT_S)
+            if (
+                listening.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
+                and listening.getsockname()[1] in ports
+            ):
+                listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_DEFER_ACCEPT, _SILENT_S)
 
 
 def listened_at(session: zenoh.Session, config: PublishingConfig) -> list[str]:
