@@ -13,6 +13,7 @@ import signal
 import socket
 import struct
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -31,7 +32,8 @@ MEET_S = 1.0  # that a stand-by which takes over waits for its back end: only th
 STILL_S = 2.0  # a back end that someone waits for, and that neither computes nor waits for a processor
 OWN_MAPPING_BYTES = 256 * 1024  # of an allocation that goes back to the system when it is freed
 M_MMAP_THRESHOLD = -3  # of mallopt(3)
-CONNECT_S = 20.0  # that a copy may take to reach its stand-by: it first ends the work that it has begun
+MAX_SENT = 2  # batches without an answer that the process has got: a copy is made after them
+CONNECT_S = 20.0  # that a copy may take to reach its stand-by once the process that makes it is gone or still
 
 
 class _Work(NamedTuple):
@@ -82,7 +84,9 @@ class BackEndProcess:
         self._former: list[Channel] = []  # of processes before, which have not taken all that they were sent
         self._listener: socket.socket | None = None  # of a stand-by, until its back end has come
         self._expected_by_s = math.inf  # host monotonic; until then it may come
-        self._unsent: list[_Work | _Copy] = []  # until it has
+        self._still = Standstill()  # of the process that makes it
+        self._is_spare = False  # of a stand-by that is not needed yet: it would do the same work again
+        self._unsent: deque[_Work] = deque()  # while MAX_SENT are without an answer, or it is spare or awaited
         self._submitted = 0
         self._submitted_s: dict[int, float] = {}  # when the batches without an answer were, host monotonic
         self._answers: dict[int, Any] = {}
@@ -105,15 +109,10 @@ class BackEndProcess:
         return self._connected() is None and self._listener is not None
 
     def need(self) -> None:
-        """The stand-by has taken over: its back end has to come within CONNECT_S, and mostly is there."""
+        """The stand-by has taken over: its back end has to come, and mostly is there."""
+        self._is_spare = False
         self._expected_by_s = time.monotonic() + CONNECT_S
         self._connected(MEET_S)
-
-    @property
-    def is_at_work(self) -> bool:
-        """Whether answers are still to come."""
-        self._receive(0.0)
-        return self._answered < self._submitted and not self.fault
 
     @property
     def behind_s(self) -> float:
@@ -171,14 +170,17 @@ class BackEndProcess:
             if self._channel is not None:
                 self._channel.close()
             self._channel, self.pid = None, None
+            self._is_spare = True
         else:
             self._close_listener()
 
     def submit(self, batch: Any) -> int:
         """Number of the work."""
         self._submitted += 1
-        self._submitted_s[self._submitted] = time.monotonic()
-        self._send(_Work(self._submitted, batch))
+        if not self.fault:
+            self._submitted_s[self._submitted] = time.monotonic()
+            self._unsent.append(_Work(self._submitted, batch))
+            self._send_waiting()
         return self._submitted
 
     def is_ready(self, number: int) -> bool:
@@ -248,27 +250,33 @@ class BackEndProcess:
                 connection = self._listener.accept()[0]
                 self._channel, self._worker_pid = Channel(connection), _peer_pid(connection)
                 self._close_listener()
-                unsent, self._unsent = self._unsent, []
-                for message in unsent:
-                    self._send(message)
-            elif time.monotonic() > self._expected_by_s:
+            elif math.isfinite(self._expected_by_s) and not self._is_expected():
                 self._close_listener()
                 self._give_up(f"the back end of the stand-by did not come within {CONNECT_S:g} s")
         return self._channel
+
+    def _is_expected(self) -> bool:
+        """Whether the copy may still come: the process that makes it first ends the work that it has got."""
+        now_s = time.monotonic()
+        if self._still.seconds(self._worker_pid)[0] == 0.0:
+            self._expected_by_s = now_s + CONNECT_S
+        return now_s <= self._expected_by_s
 
     def _close_listener(self) -> None:
         assert self._listener is not None
         self._listener.close()
         self._listener = None
 
-    def _send(self, message: _Work | _Copy) -> None:
-        channel = self._connected()
-        if channel is None:
-            if self._listener is not None:
-                self._unsent.append(message)
+    def _send_waiting(self) -> None:
+        if self._is_spare or self._connected() is None:
             return
+        while self._unsent and self._unsent[0].number - self._answered <= MAX_SENT:
+            self._send(self._unsent.popleft())
+
+    def _send(self, message: _Work | _Copy) -> None:
+        assert self._channel is not None
         try:
-            channel.send(message)
+            self._channel.send(message)
         except ChannelClosedError as error:
             self._died(error)
 
@@ -287,6 +295,7 @@ class BackEndProcess:
                 self._submitted_s.pop(message.number, None)
                 if message.number > self._unwanted:
                     self._answers[message.number] = message.answer
+            self._send_waiting()
         except ChannelClosedError as error:
             self._died(error)
 
@@ -306,6 +315,7 @@ class BackEndProcess:
         if self._channel is not None:
             self._channel.close()
             self._channel = None
+        self._unsent.clear()
         self._submitted_s.clear()
         self.fault = self.fault or fault
 

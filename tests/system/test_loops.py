@@ -92,8 +92,9 @@ class Live:
 
     def _let_the_back_end_finish(self) -> None:
         deadline_s = time.monotonic() + 60.0
-        while self.process.is_at_work and time.monotonic() < deadline_s:
+        while self.process.behind_s and time.monotonic() < deadline_s:
             wait_for(self.process.ends, 1.0)
+            self.process.look()
 
     def _put(self, message: Message, arrived_ns: int | None) -> None:
         self._recorder.put(message)

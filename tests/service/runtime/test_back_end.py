@@ -3,6 +3,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,7 +13,7 @@ import pytest
 from service.mapper.background import BackEndDiedError, WorkLostError
 from service.runtime import back_end
 from service.runtime.back_end import BackEndProcess, ProcessJob, ProcessWorker
-from tests.processes import is_there
+from tests.processes import is_there, look_at
 from tests.waiting import wait_until
 
 
@@ -28,6 +29,12 @@ class Adder:
             raise ValueError("cannot add that")
         if batch == "hang":
             signal.pause()
+        if batch == "compute":
+            end_s = time.monotonic() + 60.0
+            while time.monotonic() < end_s:
+                self.total += 1
+        if isinstance(batch, bytes):
+            batch = 1
         if isinstance(batch, Path):
             batch.read_bytes()
             batch = 10
@@ -206,6 +213,55 @@ def test_a_copy_comes_though_its_mapper_died_while_the_back_end_was_at_work(
         assert ProcessWorker(copy).submit(1000).result()[0] == 1011
     finally:
         copy.stop()
+
+
+def test_a_copy_is_made_after_two_batches_and_gets_those_that_waited(
+    process: BackEndProcess, tmp_path: Path
+):
+    """The mapper is killed while 50 batches have no answer yet, more than a socket takes."""
+    gate = tmp_path / "gate"
+    os.mkfifo(gate)
+    worker = process.new_worker(Adder())
+    worker.submit(gate)
+    for _ in range(50):
+        last = worker.submit(b"0" * 100_000)
+    process.copy(tmp_path / "copy.sock")
+    copy = forked_from(process)
+    copy._is_spare = True
+    try:
+        assert process._channel is not None
+        process._channel.close()
+        gate.write_bytes(b"go on")
+        wait_until(lambda: ProcessJob(copy, 2).ready)
+        assert len(copy._unsent) == 49  # the copy of a stand-by that waits does not do it all again
+        copy.need()
+        assert ProcessJob(copy, last._number).result()[0] == 10 + 50
+    finally:
+        copy.stop()
+
+
+def test_a_copy_is_expected_for_as_long_as_the_process_that_makes_it_computes(
+    process: BackEndProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    now_s = 100.0
+    monkeypatch.setattr(back_end, "time", SimpleNamespace(monotonic=lambda: now_s))
+    worker = process.new_worker(Adder())
+    worker.submit("compute")
+    pid = process.pid
+    assert pid is not None
+    wait_until(lambda: (alive := look_at(pid)) is not None and alive.cpu_s > 0.1, words="it sleeps")
+    process.copy(tmp_path / "copy.sock")
+    copy = forked_from(process)
+    copy.need()
+    for _ in range(3):
+        now_s += back_end.CONNECT_S + 1.0
+        copy.look()
+        assert copy.fault == ""
+    process.stop()
+    copy.look()
+    now_s += back_end.CONNECT_S + 1.0
+    copy.look()
+    assert "of the stand-by did not come" in copy.fault
 
 
 def test_a_copy_that_does_not_come_costs_the_loops_and_nothing_else(
