@@ -86,7 +86,7 @@ class BackEndProcess:
         self._expected_by_s = math.inf  # host monotonic; until then it may come
         self._still = Standstill()  # of the process that makes it
         self._is_spare = False  # of a stand-by that is not needed yet: it would do the same work again
-        self._unsent: deque[_Work] = deque()  # while MAX_SENT are without an answer, or it is spare or awaited
+        self._unsent: deque[_Work] = deque()  # beyond MAX_SENT, or while it is spare or awaited
         self._submitted = 0
         self._submitted_s: dict[int, float] = {}  # when the batches without an answer were, host monotonic
         self._answers: dict[int, Any] = {}

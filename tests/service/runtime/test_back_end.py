@@ -215,9 +215,7 @@ def test_a_copy_comes_though_its_mapper_died_while_the_back_end_was_at_work(
         copy.stop()
 
 
-def test_a_copy_is_made_after_two_batches_and_gets_those_that_waited(
-    process: BackEndProcess, tmp_path: Path
-):
+def test_a_copy_is_made_after_two_batches_and_gets_those_that_waited(process: BackEndProcess, tmp_path: Path):
     """The mapper is killed while 50 batches have no answer yet, more than a socket takes."""
     gate = tmp_path / "gate"
     os.mkfifo(gate)

@@ -5,6 +5,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,8 @@ from service.mapper.saved_graph import KeepGraph, SavedGraph
 # Between key frames of a detached segment, also at standstill. After MAX_STATIONARY from one spot each
 # interval is twice the one before, at most MAX_DOUBLED times: further scans add no evidence.
 DETACHED_INTERVAL_NS, MAX_DOUBLED = 500_000_000, 4
+# Key frames that wait for the back end, 90 m of path: with each so many, new ones are twice as far apart.
+WAITING_PER_DOUBLING = 300
 
 _NOTHING_ELSE = Batch([])
 REQUESTS = ("optimize", "undo", "checkpoint", "set_pose", "edit_map", "set_mode")
@@ -110,7 +113,10 @@ class LoopClosing(BackgroundGraph[Result]):
         is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.segment > 0)
         self._is_detached = is_detached
         wait_ns = DETACHED_INTERVAL_NS << min(max(self._stationary_count - MAX_STATIONARY, 0), MAX_DOUBLED)
-        is_due = self._is_step(pose, self._last) or (is_detached and scan.stamp_ns - self._last_ns >= wait_ns)
+        spacing = 1 << len(self._waiting_frames) // WAITING_PER_DOUBLING
+        is_due = self._is_step(pose, self._last, spacing) or (
+            is_detached and scan.stamp_ns - self._last_ns >= wait_ns * spacing
+        )
         is_keyframe = len(scan.points.xy_base) and is_due and not self.fault
         if is_keyframe:
             if self._last is not None:
@@ -240,7 +246,7 @@ class LoopClosing(BackgroundGraph[Result]):
         if result.is_localizing is not None and result.edited is not None:
             self._is_localizing = result.is_localizing
             # The back end drops key frames while it only localises: count them again.
-            self._keyframes = result.keyframes + sum(map(len, self._sent)) + len(self._new_keyframes)
+            self._keyframes = result.keyframes + len(self._waiting_frames)
             self._fixes = FixTrack()
         self._is_placed = result.place.placed != "unknown"
         if result.joined is not None:
@@ -248,11 +254,10 @@ class LoopClosing(BackgroundGraph[Result]):
         if result.newest:  # the first is the newest; the scan may be in a segment begun since
             correction = result.newest.get(self._segment, next(iter(result.newest.values())))
             self._pose_map_odom = correction.pose_map_base @ correction.pose_odom_base.inverse()
-        since = [frame for batch in self._sent for frame in batch] + self._new_keyframes
         is_all = result.rendered_map is not None and result.rendered_map.is_part is None
         rendered = [  # a partial map leaves them as they are
             ScanToRender(frame.xy_base, frame.sensor_xy_m, self._pose_map_odom @ frame.pose_odom_base)
-            for frame in (since if is_all else ())
+            for frame in (self._waiting_frames if is_all else ())
         ]
         return GraphUpdate(
             counts,
@@ -268,9 +273,16 @@ class LoopClosing(BackgroundGraph[Result]):
             is_localizing=result.is_localizing,
         )
 
-    def _is_step(self, pose: SE2, last: SE2 | None) -> bool:
+    @property
+    def _waiting_frames(self) -> list[KeyFrame]:
+        """Without a result of the back end yet, oldest first."""
+        return [*chain.from_iterable(self._sent), *self._new_keyframes]
+
+    def _is_step(self, pose: SE2, last: SE2 | None, spacing: int = 1) -> bool:
+        """spacing: multiple of the distance and turn after which a key frame is due."""
         config = self._config
-        return last is None or pose.is_step_from(last, config.keyframe_distance_m, config.keyframe_turn_rad)
+        distance_m, turn_rad = spacing * config.keyframe_distance_m, spacing * config.keyframe_turn_rad
+        return last is None or pose.is_step_from(last, distance_m, turn_rad)
 
 
 def _key_frame(scan: MappedScan, gap_s: float, is_unmeasured: bool) -> KeyFrame:
