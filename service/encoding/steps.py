@@ -21,7 +21,6 @@ SESSION_ACTIONS: tuple[SessionAction, ...] = get_args(SessionAction)
 LOAD_MAP = "load_map"
 SWITCH_PROFILE = "switch_profile"
 APPLY_RESULT = "apply_result"
-_APPLY_RESULTS = (APPLY_RESULT, "take_in")  # the latter in recordings made before 2026-11-22
 LEFT_OUT: dict[str, Literal["old", "fatal"]] = {
     "scan_passed_over": "old",
     "frame_refused": "fatal",
@@ -46,7 +45,7 @@ def decode_step(payload: bytes, log_ns: int) -> Step | None:
         return LoadMap(event["map"], event["version"], log_ns)
     if what == SWITCH_PROFILE and isinstance(event.get("profile"), str):
         return SwitchProfile(event["profile"], log_ns)
-    if what in _APPLY_RESULTS:
+    if what == APPLY_RESULT:
         return ApplyResult(log_ns)
     if isinstance(what, str) and what in LEFT_OUT and isinstance(event.get("sensor"), str):
         return LeftOut(event["sensor"], LEFT_OUT[what], log_ns)

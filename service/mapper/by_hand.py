@@ -143,9 +143,7 @@ class ByHand:
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> "ByHand":
-        """Inverse of `arrays`; a file of format 2 has no manual edits. Raises KeyError."""
-        if not any(name.startswith(PREFIX) for name in arrays):
-            return ByHand()
+        """Inverse of `arrays`. Raises KeyError."""
         return ByHand(**{f.name: arrays[PREFIX + f.name] for f in fields(ByHand)})
 
 

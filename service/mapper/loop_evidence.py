@@ -77,9 +77,7 @@ class RefusedLoops:
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> "RefusedLoops":
-        """Inverse of `arrays`; a file of format 2 has none. Raises KeyError."""
-        if not any(name.startswith(PREFIX) for name in arrays):
-            return RefusedLoops()
+        """Inverse of `arrays`. Raises KeyError."""
         return RefusedLoops(**{f.name: arrays[PREFIX + f.name] for f in fields(RefusedLoops)})
 
 

@@ -14,7 +14,6 @@ from service.mapper.loop_evidence import RefusedLoops
 
 SESSION_APART_M = 100.0  # path length assumed from the last key frame of a session to the next session
 POINT_STEP_M = 0.001  # of the stored coordinates: a tenth of the noise of a range
-STORED_NAMES = {"path_length_m": "way_m", "segment": "piece"}  # in a file, where the field has another name
 MAY_BE_NAN = ("gap_s", "loop_against")
 # Arrays with a row per key frame, and per loop: the shape of a row.
 KEYFRAME_ROWS: dict[str, tuple[int, ...]] = {
@@ -35,7 +34,7 @@ KINDS = {  # dtypes; the others are floating
     "is_lost": "b",
 }
 NORMAL_STEP = 1e-4  # of the stored normals and their weight
-USUAL_RANGE_SIGMA_M = 0.012  # of an LMS-100: of a point of weight 1, and of key frames in a file without it
+USUAL_RANGE_SIGMA_M = 0.012  # of an LMS-100: of a point of weight 1
 
 
 class KeptGraph(NamedTuple):
@@ -123,13 +122,13 @@ class SavedGraph:
         expected |= {"xy_base": (m, 2), "normals": (m, 3)}
         expected |= {name: (loops, *row) for name, row in LOOP_ROWS.items()}
         for name, shape in expected.items():
-            array, stored = getattr(self, name), STORED_NAMES.get(name, name)
+            array = getattr(self, name)
             if array.dtype.kind not in KINDS.get(name, "f"):
-                raise SavedGraphError(f"{stored} is of {array.dtype}")
+                raise SavedGraphError(f"{name} is of {array.dtype}")
             if array.shape != shape:
-                raise SavedGraphError(f"{stored} has the shape {array.shape}, expected {shape}")
+                raise SavedGraphError(f"{name} has the shape {array.shape}, expected {shape}")
             if name not in MAY_BE_NAN and array.dtype.kind == "f" and not np.isfinite(array).all():
-                raise SavedGraphError(f"{stored} is not finite")
+                raise SavedGraphError(f"{name} is not finite")
         if loops and (self.loop_ends.min() < 0 or self.loop_ends.max() >= n):
             raise SavedGraphError(f"loop_ends names key frames that are not among the {n} here")
         if (self.point_count < 0).any():
@@ -140,12 +139,12 @@ class SavedGraph:
 
 
 _ELSEWHERE = ("xy_base", "normals", "by_hand", "refused")  # fields stored apart
-_SMALL = {f.name: STORED_NAMES.get(f.name, f.name) for f in fields(SavedGraph) if f.name not in _ELSEWHERE}
+_SMALL = tuple(f.name for f in fields(SavedGraph) if f.name not in _ELSEWHERE)
 
 
 def small_arrays(graph: SavedGraph) -> dict[str, npt.NDArray[Any]]:
     """All arrays but the points, by their names in a file."""
-    small = {stored: getattr(graph, name) for name, stored in _SMALL.items()}
+    small = {name: getattr(graph, name) for name in _SMALL}
     return small | graph.by_hand.arrays() | graph.refused.arrays()
 
 
@@ -163,7 +162,6 @@ def from_arrays(
     small: Mapping[str, npt.NDArray[Any]], points: Sequence[Mapping[str, npt.NDArray[Any]]]
 ) -> SavedGraph:
     """Inverse of small_arrays and packed_points. Raises SavedGraphError."""
-    small = _not_in_older_files(small) | dict(small)
     try:
         xy = [np.asarray(part["xy"]) for part in points] or [np.zeros((0, 2), np.int32)]
         normals = [np.asarray(part["normals"]) for part in points] or [np.zeros((0, 3), np.int32)]
@@ -172,18 +170,8 @@ def from_arrays(
             normals=(np.concatenate(normals) * NORMAL_STEP).astype(np.float32),
             by_hand=ByHand.from_arrays(small),
             refused=RefusedLoops.from_arrays(small),
-            **{name: small[stored] for name, stored in _SMALL.items()},
+            **{name: small[name] for name in _SMALL},
         )
     except (KeyError, ValueError, TypeError) as error:
         raise SavedGraphError(f"arrays that are no graph: {error}") from error
     return graph.checked()
-
-
-def _not_in_older_files(small: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """Defaults of arrays that files of format 2, and some of format 3, do not have."""
-    loops = len(small.get("loop_score", ()))
-    return {
-        "loop_points": np.zeros(loops, np.int64),
-        "loop_against": np.full(loops, np.nan),
-        "range_sigma_m": np.full(len(small.get("score", ())), USUAL_RANGE_SIGMA_M),
-    }

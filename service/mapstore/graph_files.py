@@ -63,7 +63,7 @@ def segment_paths(folder: Path) -> list[Floats]:
     if not (folder / GRAPH_FILE).exists():
         return []
     arrays = read_arrays(folder / GRAPH_FILE)
-    xy, segment = arrays["map"][:, :2], arrays["piece"]
+    xy, segment = arrays["map"][:, :2], arrays["segment"]
     return [one for one in np.split(xy, np.flatnonzero(np.diff(segment)) + 1) if len(one)]
 
 

@@ -17,7 +17,7 @@ from service.readable import open_file, read_text
 from service.version import VERSION
 from service.writable import sync
 
-FORMAT = 3
+FORMAT = 4
 MANIFEST = "manifest.json"
 
 

@@ -93,7 +93,7 @@ def set_up(session: Session, options: ReplayOptions) -> ReplaySetup:
     is_as_live = (
         recorded is not None
         and mapping == recorded.mapping
-        and _begins_as_live(recorded, begun_in, options, version)
+        and _begins_as_live(begun_in, options, version)
         and FROM_RAW not in session.metadata
     )
     if options.localize:
@@ -132,12 +132,9 @@ def _version(options: ReplayOptions, begun_in: MapVersion | None) -> int | None:
     return None
 
 
-def _begins_as_live(
-    recorded: ReplayConfig, begun_in: MapVersion | None, options: ReplayOptions, version: int | None
-) -> bool:
-    """Older recordings do not record in which version they began: any passes for it then."""
+def _begins_as_live(begun_in: MapVersion | None, options: ReplayOptions, version: int | None) -> bool:
     if begun_in is None or options.map is None:
-        return (recorded.begin_in is None) == (options.map is None)
+        return begun_in is None and options.map is None
     return version == begun_in.number and has_version(options.map, version, begun_in.digest)
 
 

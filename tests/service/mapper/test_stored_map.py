@@ -175,7 +175,7 @@ def test_a_profile_without_stored_maps_is_refused(first):
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"path_length_m": np.zeros(3)}, "way_m has the shape"),
+        ({"path_length_m": np.zeros(3)}, "path_length_m has the shape"),
         ({"loop_ends": np.array([(0, 4)])}, "key frames that are not among"),
         ({"map": np.full((4, 3), np.nan)}, "is not finite"),
     ],

@@ -9,7 +9,7 @@ import pytest
 from service.cli import main
 from service.mapper.graph.loops.loop_back_end import Batch
 from service.mapper.graph.model.loops import Loop
-from service.mapper.saved_graph import SavedGraph, from_arrays, packed_points, small_arrays
+from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import save_map
 from service.offline.maps.loops import map_loops
 from tests.service.mapper.graph.loops.rings import fed_ring
@@ -43,16 +43,6 @@ def test_the_loops_of_a_map_are_reported_with_place_and_evidence(tmp_path, graph
         assert loop["back_at_s"] - loop["from_s"] > 10.0
     refused = [tuple(ends) for ends in graph.refused.ends.tolist()]
     assert len(refused) == len({*refused} - {*map(tuple, graph.loop_ends.tolist())})  # none twice
-
-
-def test_a_graph_of_before_tells_what_it_has(graph):
-    new = ("refused_", "loop_points", "loop_against", "range_sigma_m")
-    old = {name: array for name, array in small_arrays(graph).items() if not name.startswith(new)}
-    back = from_arrays(old, [packed_points(graph, 0, len(graph))])
-    assert len(back.refused.ends) == 0
-    assert back.loop_points.tolist() == [0] * len(graph.loop_ends)
-    assert np.isnan(back.loop_against).all()
-    np.testing.assert_array_equal(back.range_sigma_m, np.full(len(graph), 0.012))
 
 
 def test_the_table_names_each_loop_and_json_is_json(tmp_path, graph, capsys):
