@@ -96,9 +96,7 @@ def laser_names(sensors: Mapping[str, Any]) -> list[str]:
 
 
 def mapped_lasers(config: ReplayConfig) -> tuple[str, ...]:
-    """Whose scans are mapped: as `mapping.lasers` says, else every laser's that does not say `map: false`."""
-    if config.mapping.lasers is not None:
-        return config.mapping.lasers
+    """Whose scans are mapped: every laser's that does not say `map: false`."""
     return tuple(name for name in laser_names(config.sensors) if config.sensors[name].map)
 
 
@@ -206,10 +204,7 @@ class _Reader:
     def _mapping(self, root: dict[str, Any]) -> BaseModel | None:
         section = _section(root, "mapping")
         model = mapping_model(section) if isinstance(section, dict) else MappingConfig
-        mapping = self._model(model, section, ("mapping",))
-        if isinstance(mapping, MappingConfig):
-            self._refuse_what_is_no_laser(mapping.lasers or (), root.get("sensors"))
-        return mapping
+        return self._model(model, section, ("mapping",))
 
     def _choice(self, root: dict[str, Any]) -> BaseModel | None:
         return self._model(Choice, _section(root, "replay"), ("replay",))
@@ -318,19 +313,6 @@ class _Reader:
                 ("mapping", "profile"),
                 f"{mapping.profile} cannot begin in a stored map; use corridor, or leave map.load out",
             )
-
-    def _refuse_what_is_no_laser(self, names: tuple[str, ...], sensors: object) -> None:
-        kinds = {
-            name: SENSOR_KINDS.get(str(settings.get("type")))
-            for name, settings in (sensors.items() if isinstance(sensors, dict) else ())
-            if isinstance(settings, dict)
-        }
-        lasers = [name for name, kind in kinds.items() if kind is not None and kind.laser]
-        for index, name in enumerate(names):
-            if name not in lasers and kinds.get(name, kinds) is not None:  # a faulty type is reported already
-                what = "gives no scans" if name in kinds else "is no sensor of this config"
-                offer = suggest(name, lasers) if lasers else "there is no laser at all"
-                self._fault(("mapping", "lasers", index), f"{name} {what}; {offer}")
 
     def _model(self, model: type[BaseModel], settings: object, path: KeyPath) -> BaseModel | None:
         return validated(self._document, path, model, settings, own_keys=("name",))

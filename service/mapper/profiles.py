@@ -110,7 +110,6 @@ class MappingConfig(Section):
     profile: str = "corridor"
     cell_m: float = Field(default=0.05, ge=0.01, le=0.5)
     mode: Literal["mapping", "localization"] = "mapping"
-    lasers: tuple[str, ...] | None = None  # that are mapped; None: all without map: false
     outline_m: tuple[tuple[float, float], ...] = ()  # vehicle corners, base frame; returns within go
     components: dict[Slot, str] = Field(default_factory=dict)
     settings: Any = None  # by slot: settings of its component; None: the profile's
@@ -135,13 +134,6 @@ class MappingConfig(Section):
         if 0 < len(outline_m) < 3:
             raise ValueError(f"an outline has 3 corners [x, y] in m or more, not {len(outline_m)}")
         return outline_m
-
-    @field_validator("lasers")
-    @classmethod
-    def _some(cls, lasers: tuple[str, ...] | None) -> tuple[str, ...] | None:
-        if lasers is not None and (not lasers or len(set(lasers)) != len(lasers)):
-            raise ValueError("name each laser that is mapped once; leave lasers out to map all of them")
-        return lasers
 
 
 def begins_in_stored(config: MappingConfig) -> bool:
@@ -178,11 +170,11 @@ def mapping_config(section: Mapping[str, Any] | None = None) -> MappingConfig:
 
 
 def with_profile(profile: str, mapping: MappingConfig) -> MappingConfig:
-    """The same lasers and vehicle with another profile and its default settings.
+    """The same vehicle with another profile and its default settings.
 
     Raises ValueError for an unknown profile.
     """
-    kept = {"cell_m": mapping.cell_m, "lasers": mapping.lasers, "outline_m": mapping.outline_m}
+    kept = {"cell_m": mapping.cell_m, "outline_m": mapping.outline_m}
     try:
         return mapping_config({"profile": profile, **kept})
     except ValidationError as error:

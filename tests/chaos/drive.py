@@ -65,7 +65,6 @@ class Drive:
         self.left_out = 0
         self._log_length = self._ready_ns = 0
         self._mappers: set[int] = set()  # sessions of processes
-        self.configure(mapping={"lasers": ["front"]})  # harder than with three, and a busy machine is in time
 
     def start(self) -> None:
         with patch.dict(os.environ, self.settings.get("environment", {})):
@@ -136,6 +135,8 @@ def driving(folder: Path, faults: str, settings: dict[str, Any], seed: int) -> I
     truth = folder / "truth.txt"
     with simulators(options, truth) as fakes:
         sensors = yaml.safe_load(demo_config(fakes.endpoints, options, free_port()).text)["sensors"]
+        for name in ("rear", "lux"):  # harder with one laser, and a busy machine is in time
+            sensors[name]["map"] = False
         service = LiveService(folder, sensors, **settings.get("publishing", {}))
         wait_until(lambda: truth.read_text().count("\n") > 1, words="the simulators write no truth")
         try:

@@ -181,19 +181,6 @@ def test_an_antenna_lies_where_mounting_axes_and_lever_arm_put_it():
             GOOD + "mapping: {mode: localization}\n",
             "c.yaml:9:11: mapping.mode: localization is in a stored map; name its folder in map: {load",
         ),
-        (
-            GOOD + "mapping: {lasers: [frnt]}\n",
-            'c.yaml:9:20: mapping.lasers.0: frnt is no sensor of this config; did you mean "front"?',
-        ),
-        (GOOD + "mapping: {lasers: [base]}\n", "c.yaml:9:20: mapping.lasers.0: base gives no scans; known"),
-        (
-            GOOD + "mapping: {lasers: [front, front]}\n",
-            "c.yaml:9:11: mapping.lasers: name each laser that is mapped once; leave lasers out",
-        ),
-        (
-            GOOD + "mapping: {lasers: []}\n",
-            "c.yaml:9:11: mapping.lasers: name each laser that is mapped once",
-        ),
         (GOOD + "page: {listen: 127.0.0.1:8080}\n", "c.yaml:9:1: page: unknown key; known here: vehicle, "),
         ("- a\n", "c.yaml:1:1: a config is a mapping with the keys vehicle, sensors, "),
         ("", "c.yaml:1:1: a config is a mapping with the keys vehicle, sensors, "),
@@ -214,13 +201,12 @@ def test_all_faults_come_at_once_and_in_order_of_place():
     ]
 
 
-def test_every_laser_is_mapped_unless_it_says_no_or_others_are_named():
+def test_every_laser_is_mapped_unless_it_says_no():
     text = with_line("  imu: {type: xsens_mtig, device: /dev/i}\n  lux: {type: ibeo_lux, host: b}\n"
                      "  rear: {type: hokuyo_utm30lx, host: c}", 3)  # fmt: skip
     config = parse_config(text, "c.yaml")
     assert laser_names(config.sensors) == ["lux", "rear"]
     assert mapped_lasers(config) == ("lux", "rear")
-    assert mapped_lasers(parse_config(text + "mapping: {lasers: [rear]}\n", "c.yaml")) == ("rear",)
     without = text.replace("host: b}", "host: b, map: false}")
     assert mapped_lasers(parse_config(without, "c.yaml")) == ("rear",)
     assert mapped_lasers(parse_config(with_line("", 3), "c.yaml")) == ()
@@ -345,8 +331,6 @@ def test_a_replay_needs_no_more_than_sensors_and_mapping(tmp_path: Path):
         parse_replay_config("{recroding: {}}", "c.yaml")
     with pytest.raises(ConfigError, match=r"sensors\.front\.mounting\.x: unknown key"):
         parse_replay_config("sensors: {front: {type: ibeo_lux, mounting: {x: 1}}}", "c.yaml")
-    with pytest.raises(ConfigError, match=r"mapping\.lasers\.0: base gives no scans"):
-        parse_replay_config("{sensors: {base: {type: irobot_create}}, mapping: {lasers: [base]}}", "c")
 
 
 def test_what_the_complete_example_leaves_out_is_right_too():
@@ -354,7 +338,6 @@ def test_what_the_complete_example_leaves_out_is_right_too():
     whole = parse_config(re.sub(r"(?m)^  # (?=rear:|lux:|imu:|  \w+: )", "  ", text), "vehicle.yaml")
     assert len({sensor.type for sensor in whole.sensors.values()}) == 5  # others have their own examples
     assert mapped_lasers(whole) == ("front", "rear", "lux")
-    assert "\n  lasers: null" in text
 
 
 @pytest.mark.parametrize("kind", sorted(SENSOR_KINDS))

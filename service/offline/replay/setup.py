@@ -181,15 +181,14 @@ def _lasers(session: Session, config: ReplayConfig | None, are_named: bool) -> S
     was named or whose mounting is known; where none is, of the one with most scans.
     """
     scans = session.scan_counts
-    if config is None or (config.mapping.lasers is None and not scans.keys() & laser_names(config.sensors)):
+    if config is None or not scans.keys() & laser_names(config.sensors):
         mounted = sorted(scans if are_named else scans.keys() - session.unmounted.keys())
         return mounted or [min(scans, key=lambda name: (-scans[name], name))]
     wanted = mapped_lasers(config)
     lasers = [name for name in wanted if name in scans]
-    if not lasers or (config.mapping.lasers is not None and len(lasers) < len(wanted)):
+    if not lasers:
         raise InputError(
             f"{session.recording.paths[0]}: the config maps {' and '.join(wanted) or 'no laser'}, but the "
-            f"scans here are of {' and '.join(scans)}; name some of these in mapping.lasers of a config and "
-            "give it by --config"
+            f"scans here are of {' and '.join(scans)}; give a config by --config that maps one of these"
         )
     return lasers

@@ -129,17 +129,20 @@ BASE = "base: {type: irobot_create, device: /dev/b}"
 
 
 @pytest.mark.parametrize(
-    ("sensors", "lasers", "mapped", "words"),
+    ("sensors", "mapped", "words"),
     [
-        (FRONT, None, ["front"], "front is mapped"),
-        (TWO, None, ["front", "rear"], "front and rear are mapped"),
-        (TWO, "[rear]", ["rear"], "rear is mapped; scans of front are published and recorded, not mapped"),
-        (BASE, None, [], "no laser is mapped"),
+        (FRONT, ["front"], "front is mapped"),
+        (TWO, ["front", "rear"], "front and rear are mapped"),
+        (
+            TWO.replace("host: a", "host: a, map: false"),
+            ["rear"],
+            "rear is mapped; scans of front are published and recorded, not mapped",
+        ),
+        (BASE, [], "no laser is mapped"),
     ],
 )
-def test_check_says_which_lasers_are_mapped(sensors, lasers, mapped, words, good, capsys):
-    mapping = f"mapping: {{lasers: {lasers}}}\n" if lasers else ""
-    good.write_text(GOOD.replace(FRONT, sensors) + mapping)
+def test_check_says_which_lasers_are_mapped(sensors, mapped, words, good, capsys):
+    good.write_text(GOOD.replace(FRONT, sensors))
     for form in ([str(good)], ["--config", str(good)]):
         assert main(["check", *form]) == 0
         assert capsys.readouterr().out.startswith(f"{good}: ok; {words}")

@@ -49,13 +49,12 @@ def test_an_event_of_a_switch_is_a_step_of_a_replay():
 
 
 def test_settings_of_the_config_come_back_with_its_profile(machine: Machine):
-    configured = machine.present.configured = mapping_config(
-        {"cell_m": 0.1, "lasers": ["front"], "settings": {"motion_model": {}}}
-    )
+    section = {"cell_m": 0.1, "outline_m": [(0, 0), (1, 0), (0, 1)]}
+    configured = machine.present.configured = mapping_config({**section, "settings": {"motion_model": {}}})
     machine.scan()
     assert machine.ask("switch_profile", profile="contour_lm")["ok"]
-    kept = {"profile": "contour_lm", "cell_m": 0.1, "lasers": ["front"]}
-    assert machine.present.config.model_dump() == mapping_config(kept).model_dump()
+    kept = mapping_config({"profile": "contour_lm", **section})
+    assert machine.present.config.model_dump() == kept.model_dump()
     assert machine.ask("switch_profile", profile="corridor")["ok"]
     assert machine.present.config is configured
 

@@ -23,8 +23,8 @@ TWO_LASERS = CONFIG.replace("}}}", "}}, rear: {type: hokuyo_utm30lx, host: b, mo
     ("config", "mapped", "others"),
     [
         (TWO_LASERS, 70, 0),
-        (TWO_LASERS + "mapping: {lasers: [front]}\n", 40, 30),
-        (TWO_LASERS + "mapping: {lasers: [rear]}\n", 30, 40),
+        (TWO_LASERS.replace("host: b", "host: b, map: false"), 40, 30),
+        (TWO_LASERS.replace("host: a", "host: a, map: false"), 30, 40),
         (None, 40, 30),  # of a foreign recording those whose mounting is known
     ],
 )
@@ -67,8 +67,8 @@ def test_a_config_that_does_not_know_the_lasers_maps_the_fullest(record_drive: R
     assert replay([session], ReplayOptions(config=config)).summary["scans"] == 40
     config.write_text((CONFIG % 0.0).replace("front", "rear"))
     assert replay([session], ReplayOptions(config=config)).summary["scans"] == 30
-    config.write_text((CONFIG % 0.0).replace("front", "other") + "mapping: {lasers: [other]}\n")
-    with pytest.raises(InputError, match="maps other"):
+    config.write_text((CONFIG % 0.0).replace("front: {", "front: {map: false, "))
+    with pytest.raises(InputError, match="maps no laser, but the scans here are of front and rear"):
         replay([session], ReplayOptions(config=config))
 
 
