@@ -1,16 +1,12 @@
-"""Frames from the bytes of a recorded wire: a fault in the field becomes a test.
-
-recording = Recording([Path("veh1_20261121T101500Z_0001.mcap")])
-frames = list(frames_from_wire(raw_chunks(recording, "front"), lambda: Lms100Session(config)))
-"""
+"""Frames from the bytes of a recorded wire."""
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 
 from drivers.errors import DriverError, contained
 from drivers.frames import Frame
 from drivers.link import ClockGate, RawChunk, Session
-from service.encoding import BYTES, decode_raw
+from service.encoding import BYTES
 from service.errors import InputError
 from service.recording.mcap_reader import Recording
 
@@ -33,26 +29,6 @@ def utc_offset_ns(recording: Recording) -> int:
         return int(recording.metadata["clock"]["utc_offset_ns"])
     except (KeyError, ValueError) as error:
         raise InputError(f"{recording.paths[0]}: no clock.utc_offset_ns among its metadata") from error
-
-
-def raw_chunks(recording: Recording, sensor: str) -> Iterator[RawChunk]:
-    """Events on the sensor's wire, at the host's monotonic times of the recording. Raises InputError."""
-    topic = raw_topics(recording).get(sensor)
-    if topic is None:
-        raise InputError(
-            f"{recording.paths[0]}: no /{sensor}/raw; it is recorded where the config says "
-            "recording: {raw: true}"
-        )
-    offset_ns = utc_offset_ns(recording)
-    for message in recording.messages([topic]):
-        yield decode_raw(message.payload, message.log_ns, offset_ns)
-
-
-def frames_from_wire(chunks: Iterable[RawChunk], new_session: Callable[[], Session]) -> Iterator[Frame]:
-    """The frames that a driver makes of a recorded wire, in order. new_session as in WireReplay."""
-    wire = WireReplay(new_session)
-    for chunk in chunks:
-        yield from wire.take(chunk)
 
 
 class WireReplay:

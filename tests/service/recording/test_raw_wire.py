@@ -1,23 +1,20 @@
 """Wires recorded and lived through again: the frames of then, bit for bit."""
 
-import threading
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
-from drivers import link
-from drivers.errors import ProtocolError, TransportError
+from drivers.errors import TransportError
 from drivers.frames import Frame, OdometrySample
-from drivers.link import LinkHealth, RawChunk, run_link
+from drivers.link import RawChunk
 from service.encoding import BYTES, Message, decode_raw, encode_frame, encode_raw
 from service.errors import InputError
 from service.recording.mcap_reader import Recording
 from service.recording.mcap_recorder import McapRecorder
 from service.recording.mcap_source import open_session
-from service.recording.raw_wire import WireReplay, frames_from_wire, raw_chunks
+from service.recording.raw_wire import WireReplay, utc_offset_ns
 from tests.drivers.faulty_devices import BENCHES, linked
-from tests.drivers.scripted import ScriptedTransport
 from tests.service.recording.sessions import T0_NS, drive
 from tests.soaked import in_soak
 
@@ -38,19 +35,15 @@ LIVED_THROUGH = [
 
 
 class AskingSession:
-    """Asks at the first tick after an answer, and stamps a sample half-way between question and answer.
+    """Asks at the first tick after an answer, and stamps a sample half-way between question and answer."""
 
-    b"garbage" is a ProtocolError. Samples count on from one session to the next.
-    """
-
-    def __init__(self, count: list[int]) -> None:
+    def __init__(self) -> None:
         self.outbox = bytearray()
         self.counters: Counter[str] = Counter()
         self.status = ""
         self.identity: dict[str, str] = {}
         self.clock_offset_ns = None
         self.clock_sigma_ns = None
-        self._count = count
         self._requested_ns: int | None = None
 
     def tick(self, now_ns: int) -> None:
@@ -59,65 +52,12 @@ class AskingSession:
             self.outbox += b"how far?"
 
     def receive_data(self, data: bytes, arrived_ns: int) -> list[OdometrySample]:
-        if data == b"garbage":
-            raise ProtocolError("garbage")
         assert self._requested_ns is not None
         stamp_ns, self._requested_ns = (self._requested_ns + arrived_ns) // 2, None
-        self._count[0] += 1
-        return [
-            OdometrySample(
-                "base", stamp_ns, arrived_ns, data[0], float(self._count[0]), 0.0, (0.0, 0.0, 0.0), (0.0,) * 9
-            )
-        ]
+        return [OdometrySample("base", stamp_ns, arrived_ns, data[0], 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9)]
 
     def shutdown_request(self) -> bytes:
         return b"bye"
-
-
-class LastTransport(ScriptedTransport):
-    """Stops the link where its script ends."""
-
-    def __init__(self, chunks: list[bytes], stop: threading.Event) -> None:
-        super().__init__(chunks)
-        self._stop = stop
-
-    def read(self, timeout_s: float) -> bytes:
-        if not self._chunks:
-            self._stop.set()
-            return b""
-        return super().read(timeout_s)
-
-
-def live_through(tmp_path: Path) -> tuple[list[OdometrySample], Path]:
-    """Two connections, the first of which ends in garbage; the frames, and the recording of the wire."""
-    stop = threading.Event()
-    transports = iter(
-        [ScriptedTransport([b"\x01", b"\x02", b"garbage"]), LastTransport([b"\x03", b"\x04"], stop)]
-    )
-    recorder = McapRecorder(tmp_path, "veh1", keep_free_bytes=0, metadata=CLOCK)
-    recorder.start()
-    count, frames = [0], []
-    run_link(
-        LinkHealth("base"),
-        lambda: next(transports),
-        lambda: AskingSession(count),
-        frames.append,
-        stop,
-        lambda chunk: recorder.put(encode_raw("base", chunk, OFFSET_NS)),
-    )
-    (session,) = recorder.finish()
-    return frames, session
-
-
-def test_sessions_fed_from_a_recorded_wire_make_the_very_frames(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(link, "FIRST_RETRY_S", 0.0)
-    frames, session = live_through(tmp_path)
-    assert [frame.x_m for frame in frames] == [1, 2, 3, 4]
-    count = [0]
-    again = frames_from_wire(raw_chunks(Recording([session]), "base"), lambda: AskingSession(count))
-    assert list(again) == frames
 
 
 def test_what_came_before_the_first_connection_is_passed_over():
@@ -128,7 +68,7 @@ def test_what_came_before_the_first_connection_is_passed_over():
         RawChunk(4, "sent", b"how far?"),
         RawChunk(6, "received", b"\x02"),
     ]
-    wire = WireReplay(lambda: AskingSession([0]))
+    wire = WireReplay(AskingSession)
     (frame,) = [frame for chunk in chunks for frame in wire.take(chunk)]
     assert (frame.stamp_ns, frame.arrived_ns) == (5, 6)
     assert (wire.frames, wire.chunks_without_start, wire.requests_not_repeated) == (1, 2, 0)
@@ -158,7 +98,7 @@ def test_a_driver_that_sends_otherwise_than_then_is_noticed():
         RawChunk(6, "sent", b"how far?"),
         RawChunk(7, "sent", b"and now?"),
     ]
-    wire = WireReplay(lambda: AskingSession([0]))
+    wire = WireReplay(AskingSession)
     assert len([frame for chunk in chunks for frame in wire.take(chunk)]) == 1
     assert wire.requests_not_repeated == 2
 
@@ -180,7 +120,8 @@ def test_a_session_that_gives_up_in_a_tick_is_replaced_at_the_next_connection(er
         RawChunk(21, "sent", b"?"),
         RawChunk(23, "received", b"\x02"),
     ]
-    assert [f.stamp_ns for f in frames_from_wire(chunks, lambda: Impatient([0]))] == [22]
+    wire = WireReplay(Impatient)
+    assert [frame.stamp_ns for chunk in chunks for frame in wire.take(chunk)] == [22]
 
 
 @pytest.mark.parametrize(
@@ -216,16 +157,10 @@ def record(tmp_path: Path, messages: list[Message], metadata: dict[str, dict[str
     return session
 
 
-def test_a_recording_without_the_wire_says_how_to_get_one(tmp_path: Path):
-    recording = Recording([record(tmp_path, drive(1), CLOCK)])
-    with pytest.raises(InputError, match=r"no /front/raw; it is recorded where .* recording: \{raw: true\}"):
-        list(raw_chunks(recording, "front"))
-
-
 def test_a_recording_without_its_clock_cannot_tell_when(tmp_path: Path):
     raw = encode_raw("front", RawChunk(T0_NS, "connected"), 0)
     with pytest.raises(InputError, match=r"no clock\.utc_offset_ns"):
-        list(raw_chunks(Recording([record(tmp_path, [raw], {})]), "front"))
+        utc_offset_ns(Recording([record(tmp_path, [raw], {})]))
 
 
 def test_a_replay_does_not_look_at_the_wire(tmp_path: Path):
