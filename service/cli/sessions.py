@@ -211,8 +211,8 @@ def report(parsed: argparse.Namespace) -> int:
     from service.offline.report import REPORT_FILE, write_report
 
     out: Path = parsed.out or parsed.result / REPORT_FILE
-    missing = write_report(parsed.result, out)
-    print_result({"result": str(parsed.result), "out": str(out), "missing": missing}, parsed.json)
+    write_report(parsed.result, out)
+    print_result({"result": str(parsed.result), "out": str(out)}, parsed.json)
     return 0
 
 

@@ -62,41 +62,28 @@ def clock(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{whole % 60:02d}" if hours else f"{minutes}:{whole % 60:02d}"
 
 
-def timeline(content: Content) -> Markup | None:
-    """Every chart for which there is something; None where there is none."""
+def timeline(content: Content) -> Markup:
     axis = TimeAxis(content)
     states = content.states
-    rows: list[Markup] = []
-    if states is not None and len(states.stamp_ns):
-        column = axis.columns(states.stamp_ns)
-        rows.append(row("state", _state_strip(states.state, column), "strip"))
-        along, across, heading = states.sigma.T
-        metres = LogScale.of(np.concatenate((along, across)), 0.001, "m")
-        rows.append(
-            row(
-                "sigma of the position",
-                [_lines(axis, metres, column, {"along": along, "across": across}), metres.words()],
-                legend=(("along", "ahead"), ("across", "to the side")),
-            )
-        )
-        degrees = LogScale.of(heading, 0.01, "deg")
-        rows.append(
-            row(
-                "sigma of the heading",
-                [_lines(axis, degrees, column, {"heading": heading}), degrees.words()],
-            )
-        )
-        share = _ShareScale()
-        worst = {"inlier": states.inlier_ratio}
-        rows.append(
-            row("returns on the map", [_lines(axis, share, column, worst, np.minimum), share.words()])
-        )
+    column = axis.columns(states.stamp_ns)
+    along, across, heading = states.sigma.T
+    metres = LogScale.of(np.concatenate((along, across)), 0.001, "m")
+    degrees = LogScale.of(heading, 0.01, "deg")
+    share = _ShareScale()
+    worst = {"inlier": states.inlier_ratio}
+    rows = [
+        row("state", _state_strip(states.state, column), "strip"),
+        row(
+            "sigma of the position",
+            [_lines(axis, metres, column, {"along": along, "across": across}), metres.words()],
+            legend=(("along", "ahead"), ("across", "to the side")),
+        ),
+        row("sigma of the heading", [_lines(axis, degrees, column, {"heading": heading}), degrees.words()]),
+        row("returns on the map", [_lines(axis, share, column, worst, np.minimum), share.words()]),
+    ]
     if content.loops:
         rows.append(_loops_row(axis, content.loops))
-    for name, frames in (content.summary.sensors or {}).items():
-        rows.append(_sensor_row(axis, name, frames))
-    if not rows:
-        return None
+    rows += [_sensor_row(axis, name, frames) for name, frames in content.summary.sensors.items()]
     return tag("div", rows, tag("div", axis.ticks(), class_="row axis"), class_="timeline")
 
 

@@ -1,12 +1,12 @@
-"""What the folder of a result holds, as far as its report shows it; older ones hold less."""
+"""What the folder of a result holds, as far as its report shows it."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, PositiveInt, ValidationError
 
 from service.errors import InputError, fault_words
 from service.geometry.geo_reference import GeoReference
@@ -14,59 +14,51 @@ from service.geometry.poses import Floats
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.picture import Picture
 from service.offline.maps.loops import loops_of
-from service.offline.past.result import SUMMARY_FILE, TRAJECTORY_FILE, open_result
+from service.offline.past.result import SUMMARY_FILE, open_result
 from service.offline.replay.states_file import STATES_FILE, States, read_states
 from service.offline.score.trajectory import Trajectory
 from service.readable import refuse_unreadable
 
-AGAIN = "a newer corridor writes it: replay the recording again"
 
-
-class _Lenient(BaseModel):
+class _Facts(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-class StateReason(_Lenient):
+class StateReason(_Facts):
+    id: str
     reason: str
-    scans: int
-    first_s: float
-    id: str = ""
 
 
-class SensorFrames(_Lenient):
+class SensorFrames(_Facts):
     """Frames of a sensor, as in service.offline.replay.sensor_rates."""
 
     frames: int
-    rate_hz: float | None = None
-    gaps: int = 0
-    longest_gaps: list[tuple[float, float]] = []
+    rate_hz: float | None
+    gaps: int
+    longest_gaps: list[tuple[float, float]]
 
 
-class Mounting(_Lenient):
+class Mounting(_Facts):
     x_m: float
     y_m: float
     yaw_deg: float
 
 
-class Summary(_Lenient):
+class Summary(_Facts):
     """The shown part of summary.json."""
 
-    corridor: str = ""
-    profile: str = ""
-    recording: list[str] = []
-    scans: int | None = None
-    scans_dropped: int = 0
-    duration_s: float | None = None
-    realtime_factor: float | None = None
-    loop_closures: int | None = None
-    keyframes: int | None = None
-    state: dict[str, int] = {}
-    state_reasons: dict[str, list[StateReason]] = {}
-    samples_dropped: dict[str, int] = {}
-    warnings: list[str] | None = None
-    sensors: dict[str, SensorFrames] | None = None
-    mountings: dict[str, Mounting] = {}
-    mapping: dict[str, Any] | None = None
+    corridor: str
+    profile: str
+    recording: list[str]
+    scans: PositiveInt
+    scans_dropped: int
+    loop_closures: int
+    state: dict[str, int]
+    state_reasons: dict[str, list[StateReason]]
+    warnings: list[str]
+    sensors: dict[str, SensorFrames]
+    mountings: dict[str, Mounting]
+    mapping: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,41 +79,35 @@ class Loop:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Content:
-    """Contents of a report; None: missing in the folder.
+    """Contents of a report.
 
+    trajectory None of a single scan
+    loops      None where the result has no graph
     edit       words of the edit that made the newest version of the map; None: the drive made it
-    missing    what is not in the folder, and what to do: a line each
     """
 
     folder: Path
     summary: Summary
     trajectory: Trajectory | None
-    states: States | None
-    picture: Picture | None
+    states: States
+    picture: Picture
     loops: list[Loop] | None
     geo: GeoReference | None
     edit: str | None
-    missing: list[str] = field(default_factory=list)
 
     @property
     def begin_ns(self) -> int:
-        """Stamp of the first scan; 0 where that is unknown."""
-        for stamps in (self.states, self.trajectory):
-            if stamps is not None and len(stamps.stamp_ns):
-                return int(stamps.stamp_ns[0])
-        return 0
+        """Stamp of the first scan."""
+        return int(self.states.stamp_ns[0])
 
     @property
     def duration_s(self) -> float:
-        for stamps in (self.states, self.trajectory):
-            if stamps is not None and len(stamps.stamp_ns):
-                return int(stamps.stamp_ns[-1] - stamps.stamp_ns[0]) / 1e9
-        return self.summary.duration_s or 0.0
+        return int(self.states.stamp_ns[-1] - self.states.stamp_ns[0]) / 1e9
 
 
 def read_content(folder: Path) -> Content:
     """Content for the newest version of the map. Raises InputError where the folder is no result, or where a
-    file of it is damaged.
+    file of it is damaged or not there.
     """
     refuse_unreadable(folder)
     result = open_result(folder)
@@ -131,46 +117,28 @@ def read_content(folder: Path) -> Content:
             "SESSION.mcap --out DIR writes one"
         )
     summary = _checked(result.summary, folder / SUMMARY_FILE)
-    states = read_states(folder / STATES_FILE) if (folder / STATES_FILE).is_file() else None
+    states = read_states(folder / STATES_FILE)
+    if not len(states.stamp_ns):
+        raise InputError(f"{folder / STATES_FILE}: no scan in it")
     stored = result.stored
     graph = None if stored is None else stored.graph
-    content = Content(
+    return Content(
         folder=folder,
         summary=summary,
-        trajectory=result.trajectory if states is None or len(states.stamp_ns) > 1 else None,
+        trajectory=result.trajectory if len(states.stamp_ns) > 1 else None,
         states=states,
-        picture=result.picture if result.has_map else None,
+        picture=result.picture,
         loops=None if graph is None else _loops(graph),
         geo=result.geo,
         edit=stored.edit.words if stored is not None and stored.edit is not None else None,
     )
-    return replace(content, missing=list(_missing(content)))
-
-
-def _missing(content: Content) -> Iterator[str]:
-    summary = content.summary
-    if content.trajectory is None:
-        yield f"path: no {TRAJECTORY_FILE} with 2 poses or more"
-    if content.states is None:
-        yield f"sigma and states over time: no {STATES_FILE}; {AGAIN}"
-    if content.picture is None:
-        yield "map: neither map/ nor map.yaml"
-    if content.loops is None:
-        yield "errors of the loops: no map/ with a graph; not every profile stores one, nor does localisation"
-    for what, value in (
-        ("rates and gaps of the sensors", summary.sensors),
-        ("settings", summary.mapping),
-        ("warnings", summary.warnings),
-    ):
-        if value is None:
-            yield f"{what}: not in {SUMMARY_FILE}; {AGAIN}"
 
 
 def _checked(summary: Mapping[str, Any], path: Path) -> Summary:
     try:
         return Summary.model_validate(summary)
     except ValidationError as error:
-        raise InputError(f"{path}: {fault_words(error)}") from error
+        raise InputError(f"{path}: {fault_words(error)}; replay the recording again") from error
 
 
 def _loops(graph: SavedGraph) -> list[Loop]:

@@ -14,15 +14,16 @@ from service.mapstore.annotated import known_part, scale_bar_m
 from service.mapstore.picture import GREY_UNKNOWN, Picture, Pixels
 from service.mapstore.png import png_bytes
 from service.offline.past.moments import thinned
+from service.offline.replay.states_file import States
 from service.offline.report.content import Content
 from service.offline.report.markup import Markup, joined, tag
+from service.offline.score.trajectory import Trajectory
 
 MAX_PIXELS = 3000  # of a side, bounded for browsers
 MAX_POINTS = 4000  # of the path
 CLASSES_M = (0.01, 0.02, 0.05, 0.10, 0.20)  # upper ends of the classes of sigma; the last has none
 GRID_SHARE = 0.2  # of the longer side: about how far grid lines lie apart
 BAR_SHARE = 0.25
-SOME_M = 5.0  # around a path without a map
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,20 +40,14 @@ class _Frame:
         return np.column_stack((xy_map[:, 0] - self.x_min_m, self.y_min_m + self.height_m - xy_map[:, 1]))
 
 
-def map_figure(content: Content) -> Markup | None:
-    """None where there is neither map nor path."""
-    poses = np.empty((0, 3)) if content.trajectory is None else content.trajectory.pose
-    if content.picture is None and not len(poses):
-        return None
-    image, frame = None, _around(poses)
-    if content.picture is not None:
-        shown = _coarser(known_part(content.picture))
-        frame = _Frame(shown.x_min_m, shown.y_min_m, shown.width * shown.cell_m, shown.height * shown.cell_m)
-        png = b64encode(png_bytes(shown, GREY_UNKNOWN)).decode("ascii")
-        image = tag(
-            "image", href=f"data:image/png;base64,{png}", width=f"{frame.width_m:.4f}",
-            height=f"{frame.height_m:.4f}", class_="cells", preserve_aspect_ratio="none",
-        )  # fmt: skip
+def map_figure(content: Content) -> Markup:
+    shown = _coarser(known_part(content.picture))
+    frame = _Frame(shown.x_min_m, shown.y_min_m, shown.width * shown.cell_m, shown.height * shown.cell_m)
+    png = b64encode(png_bytes(shown, GREY_UNKNOWN)).decode("ascii")
+    image = tag(
+        "image", href=f"data:image/png;base64,{png}", width=f"{frame.width_m:.4f}",
+        height=f"{frame.height_m:.4f}", class_="cells", preserve_aspect_ratio="none",
+    )  # fmt: skip
     step_m = scale_bar_m(max(frame.width_m, frame.height_m), GRID_SHARE)
     drawing = tag(
         "svg",
@@ -60,7 +55,7 @@ def map_figure(content: Content) -> Markup | None:
         image,
         tag("path", class_="grid", d=_grid(frame, step_m)),
         _loops(content, frame),
-        _path(content, frame),
+        _path(content.states, content.trajectory, frame) if content.trajectory is not None else None,
         view_box=f"0 0 {frame.width_m:.4f} {frame.height_m:.4f}",
         role="img",
     )
@@ -75,13 +70,6 @@ def map_figure(content: Content) -> Markup | None:
     shape += f"max-width:calc(80vh*{frame.width_m / frame.height_m:.4f})"
     figure = tag("div", drawing, _coordinates(frame, step_m), bar, north, class_="map", style=shape)
     return tag("figure", figure, _legend(content))
-
-
-def _around(poses: Floats) -> _Frame:
-    low, high = (poses[:, :2].min(axis=0), poses[:, :2].max(axis=0)) if len(poses) else np.zeros((2, 2))
-    x_m, y_m = (low - SOME_M).tolist()
-    width_m, height_m = (high - low + 2 * SOME_M).tolist()
-    return _Frame(x_m, y_m, width_m, height_m)
 
 
 def _coarser(picture: Picture) -> Picture:
@@ -113,48 +101,29 @@ def _smallest(pixels: Pixels, k: int) -> Pixels:
     return np.minimum.reduceat(rows, np.arange(0, pixels.shape[1], k), axis=1)
 
 
-def _path(content: Content, frame: _Frame) -> Markup | None:
+def _path(states: States, trajectory: Trajectory, frame: _Frame) -> Markup:
     """Stretches of one class each, below them halos where the state was not ok; begin and end."""
-    if content.trajectory is None:
-        return None
-    poses = content.trajectory.pose
+    poses = trajectory.pose
     rows = np.array(thinned(poses[:, :2], frame.width_m / MAX_POINTS, MAX_POINTS))
     at = frame.at(poses)
-    row_of, sigma_m = _sigma_of_poses(content)
-    classes = np.digitize(sigma_m, CLASSES_M) if sigma_m is not None else np.full(len(poses), -1)
+    row_of = np.searchsorted(states.stamp_ns, trajectory.stamp_ns).clip(0, len(states.stamp_ns) - 1)
+    classes = np.digitize(states.sigma[row_of, :2].max(axis=1), CLASSES_M)  # the worse direction
     drawn = []
     for state in ("degraded", "lost"):
-        is_so = _is_state(content, row_of, state)
+        is_so = (np.array(states.state) == state)[row_of]
         drawn += [
             tag("polyline", class_=f"halo {state}", points=_points(at[begin:end]))
             for begin, end in _runs(is_so)
         ]
     worst = np.maximum.reduceat(classes, rows)  # between two points that are plotted, the worst counts
     for begin, end in _stretches(worst):
-        name = "way" if worst[begin] < 0 else f"way s{worst[begin]}"
-        last = min(end, len(rows) - 1)
-        drawn.append(tag("polyline", class_=name, points=_points(at[rows[begin : last + 1]])))
+        points = _points(at[rows[begin : min(end, len(rows) - 1) + 1]])
+        drawn.append(tag("polyline", class_=f"way s{worst[begin]}", points=points))
     for name, place in (("begin", at[0]), ("end", at[-1])):
         drawn.append(
             tag("path", tag("title", name), class_=f"mark {name}", d=f"M{place[0]:.3f} {place[1]:.3f}h0")
         )
     return joined(drawn)
-
-
-def _sigma_of_poses(content: Content) -> tuple[npt.NDArray[np.int64] | None, Floats | None]:
-    """(N,) row of states.csv and (N,) sigma, m, in the worse of its two directions, of each pose."""
-    states, trajectory = content.states, content.trajectory
-    if states is None or trajectory is None or not len(states.stamp_ns):
-        return None, None
-    row = np.searchsorted(states.stamp_ns, trajectory.stamp_ns).clip(0, len(states.stamp_ns) - 1)
-    return row, states.sigma[row, :2].max(axis=1)
-
-
-def _is_state(content: Content, row_of: npt.NDArray[np.int64] | None, state: str) -> npt.NDArray[np.bool_]:
-    if row_of is None or content.states is None:
-        return np.zeros(0, bool)
-    is_so: npt.NDArray[np.bool_] = np.array(content.states.state) == state
-    return is_so[row_of]
 
 
 def _runs(is_so: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
@@ -219,20 +188,16 @@ def _coordinates(frame: _Frame, step_m: float) -> list[Markup]:
 
 def _legend(content: Content) -> Markup:
     entries = []
-    if content.states is not None and content.trajectory is not None:
+    if content.trajectory is not None:
         ends = ["0", *(f"{100 * end:g}" for end in CLASSES_M)]
         words = [f"{low} to {high} cm" for low, high in pairwise(ends)]
         words = [f"below {ends[1]} cm", *words[1:], f"above {ends[-1]} cm"]
         entries += [_entry(f"way s{k}", text) for k, text in enumerate(words)]
         entries += [_entry("halo degraded", "degraded"), _entry("halo lost", "lost")]
-    elif content.trajectory is not None:
-        entries.append(_entry("way", "path"))
-    if content.trajectory is not None:
         entries += [_entry("mark begin", "begin"), _entry("mark end", "end")]
     if any(not loop.why_not for loop in content.loops or ()):
         entries.append(_entry("loop", "loop closed here"))
-    head = "sigma of the position" if content.states is not None else ""
-    return tag("figcaption", tag("b", head) if head else None, entries)
+    return tag("figcaption", tag("b", "sigma of the position"), entries)
 
 
 def _entry(name: str, text: str) -> Markup:

@@ -26,17 +26,17 @@ STYLE = Path(__file__).with_name("style.css")
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
-def write_report(result: Path, out: Path) -> list[str]:
-    """The result in a folder as one HTML page; what of it is missing there, a line each.
+def write_report(result: Path, out: Path) -> None:
+    """The result in a folder as one HTML page.
 
-    Raises InputError where the folder is none of a replay or a file of it is damaged, StorageError.
+    Raises InputError where the folder is none of a replay or a file of it is damaged or not there,
+    StorageError.
     """
     content = read_content(result)
     refuse_unwritable_file(out)
     page = page_of(content, links=out.resolve().parent == result.resolve())
     with complete_files(out) as path:
         path.write_text(page, encoding="utf-8", errors="backslashreplace")
-    return content.missing
 
 
 def page_of(content: Content, links: bool) -> str:
@@ -47,12 +47,11 @@ def page_of(content: Content, links: bool) -> str:
         _warnings(content),
         _figures(content),
         section("Map", map_figure(content), _map_note(content)),
-        section("Over time", timeline(content), _time_note(content)),
+        section("Over time", timeline(content), _time_note()),
         section("Why scans were not ok", _reasons(content)),
         section("Loops", *_loops(content)),
         section("Sensors", _sensors(content)),
         section("Settings", _settings(content)),
-        section("Not in this report", _list(content.missing)),
         _footer(content, links),
     )
     return html_page(f"{name}: report of a drive", parts)
@@ -94,10 +93,7 @@ def _header(content: Content, name: str) -> Markup:
     facts = [f"{clock(content.duration_s)} {'h' if content.duration_s >= 3600 else 'min'} of driving"]
     if content.begin_ns >= OLDEST_NS:
         facts.insert(0, f"{datetime.fromtimestamp(content.begin_ns / 1e9, UTC):%d %B %Y, %H:%M:%S} UTC")
-    if summary.profile:
-        facts.append(f"profile {summary.profile}")
-    if summary.corridor:
-        facts.append(f"corridor {summary.corridor}")
+    facts += [f"profile {summary.profile}", f"corridor {summary.corridor}"]
     if content.edit is not None:
         facts.append(f"map as edited: {content.edit}")
     return tag(
@@ -108,8 +104,6 @@ def _header(content: Content, name: str) -> Markup:
 def _verdict(content: Content) -> list[object]:
     """In one sentence: how much of the drive can be relied on."""
     scans, states = content.summary.scans, content.summary.state
-    if not scans or not states:
-        return []
     if scans == states.get("ok"):
         return [tag("span", "ok", class_="chip ok"), " All ", counted(scans, "scan"), " were placed well."]
     chips: list[object] = []
@@ -127,10 +121,8 @@ def _percent(share: float) -> str:
     return f"{100 * share:.1f} %" if 0.0 < share < 1.0 else f"{100 * share:.0f} %"
 
 
-def _warnings(content: Content) -> Markup | None:
+def _warnings(content: Content) -> Markup:
     warnings = content.summary.warnings
-    if warnings is None:
-        return None
     if not warnings:
         return tag("section", tag("p", "No warnings."), class_="warnings none")
     head = tag("h2", counted(len(warnings), "warning"))
@@ -142,23 +134,19 @@ def _figures(content: Content) -> Markup:
     figures: list[tuple[str, str, str]] = []
     if trajectory is not None:
         figures.append(("Path", f"{path_length_m(trajectory.pose):,.1f} m".replace(",", " "), ""))
-    if content.picture is not None:
-        free = sum(int((band == WHITE_FREE).sum()) for band in content.picture.bands())
-        area_m2 = free * content.picture.cell_m**2
-        figures.append(("Free area mapped", f"{area_m2:,.0f} m²".replace(",", " "), ""))
-    if states is not None and len(states.stamp_ns):
-        worse = states.sigma[:, :2].max(axis=1)
-        p50, p95 = np.percentile(worse, (50, 95), method="nearest")
-        figures.append(("Sigma of the position", _length(p50), f"95 % below {_length(p95)}"))
-        heading = np.percentile(states.sigma[:, 2], (50, 95), method="nearest")
-        figures.append(("Sigma of the heading", _angle(heading[0]), f"95 % below {_angle(heading[1])}"))
-    if summary.scans is not None:
-        lost = f"{counted(summary.scans_dropped, 'more', 'more')} dropped" if summary.scans_dropped else ""
-        figures.append(("Scans", f"{summary.scans:,}".replace(",", " "), lost))
-    if summary.loop_closures is not None:
-        off = [loop.off_mm for loop in content.loops or () if not loop.why_not]
-        note = f"median error {_length(float(np.median(off)) / 1e3)}" if off else ""
-        figures.append(("Loops closed", str(summary.loop_closures), note))
+    free = sum(int((band == WHITE_FREE).sum()) for band in content.picture.bands())
+    area_m2 = free * content.picture.cell_m**2
+    figures.append(("Free area mapped", f"{area_m2:,.0f} m²".replace(",", " "), ""))
+    worse = states.sigma[:, :2].max(axis=1)
+    p50, p95 = np.percentile(worse, (50, 95), method="nearest")
+    figures.append(("Sigma of the position", _length(p50), f"95 % below {_length(p95)}"))
+    heading = np.percentile(states.sigma[:, 2], (50, 95), method="nearest")
+    figures.append(("Sigma of the heading", _angle(heading[0]), f"95 % below {_angle(heading[1])}"))
+    lost = f"{counted(summary.scans_dropped, 'more', 'more')} dropped" if summary.scans_dropped else ""
+    figures.append(("Scans", f"{summary.scans:,}".replace(",", " "), lost))
+    off = [loop.off_mm for loop in content.loops or () if not loop.why_not]
+    note = f"median error {_length(float(np.median(off)) / 1e3)}" if off else ""
+    figures.append(("Loops closed", str(summary.loop_closures), note))
     cards = [
         tag("div", tag("dt", name), tag("dd", value), tag("dd", note, class_="more") if note else None)
         for name, value, note in figures
@@ -178,21 +166,18 @@ def _angle(degrees: float) -> str:
     return f"{degrees:.2f}°" if np.isfinite(degrees) else "not known"
 
 
-def _map_note(content: Content) -> Markup | None:
+def _map_note(content: Content) -> Markup:
     words = ["Grid and coordinates in metres of the map."]
     if content.geo is None:
         words.append("The arrow is the y axis of the map, whose north is not known.")
-    if content.states is not None:
-        words.append(
-            "Sigma is that of the pose in the map as it was published, before the last optimisation, in the "
-            "worse of its two directions."
-        )
+    words.append(
+        "Sigma is that of the pose in the map as it was published, before the last optimisation, in the "
+        "worse of its two directions."
+    )
     return tag("p", " ".join(words), class_="note")
 
 
-def _time_note(content: Content) -> Markup | None:
-    if content.states is None and not content.summary.sensors:
-        return None
+def _time_note() -> Markup:
     return tag(
         "p",
         "Time since the first scan. Each point is the worst of its stretch of time. Red in the row of a "
@@ -202,36 +187,27 @@ def _time_note(content: Content) -> Markup | None:
 
 
 def _reasons(content: Content) -> Markup | None:
-    """Counted by id where states.csv has them; else the most frequent ones of the summary."""
+    """Counted by id of the reason."""
     words = {
-        (state, reason.id): reason
+        (state, reason.id): reason.reason
         for state, reasons in content.summary.state_reasons.items()
         for reason in reversed(reasons)
     }
     rows: list[Sequence[object]] = []
-    if content.states is not None:
-        states = content.states
-        pairs = list(zip(states.state, states.reason_id, strict=True))
-        first = {pair: k for k, pair in reversed(list(enumerate(pairs)))}
-        for (state, reason_id), count in Counter(pairs).most_common():
-            if state == "ok":
-                continue
+    states = content.states
+    pairs = list(zip(states.state, states.reason_id, strict=True))
+    first = {pair: k for k, pair in reversed(list(enumerate(pairs)))}
+    for (state, reason_id), count in Counter(pairs).most_common():
+        if state != "ok":
             at_s = (int(states.stamp_ns[first[state, reason_id]]) - content.begin_ns) / 1e9
-            facts = words.get((state, reason_id))
-            rows.append((_chip(state), reason_id, count, clock(at_s), facts.reason if facts else ""))
-    else:
-        for (state, reason_id), reason in words.items():
-            rows.append((_chip(state), reason_id, reason.scans, clock(reason.first_s), reason.reason))
+            chip = tag("span", state, class_=f"chip {state}")
+            rows.append((chip, reason_id, count, clock(at_s), words.get((state, reason_id), "")))
     return table(("state", "reason", "scans", "first at", "in words, the first of them"), rows)
-
-
-def _chip(state: str) -> Markup:
-    return tag("span", state, class_=f"chip {state}")
 
 
 def _loops(content: Content) -> list[Markup | None]:
     if content.loops is None:
-        return []
+        return [tag("p", "No graph is stored: the profile has none, or the drive was localised only.")]
     accepted = [loop for loop in content.loops if not loop.why_not]
     refused = Counter(loop.why_not for loop in content.loops if loop.why_not)
     if not content.loops:
@@ -276,7 +252,7 @@ def _loops(content: Content) -> list[Markup | None]:
 def _sensors(content: Content) -> Markup | None:
     rows = []
     mountings = content.summary.mountings
-    for name, frames in (content.summary.sensors or {}).items():
+    for name, frames in content.summary.sensors.items():
         sensor, _, kind = name.rpartition("/")
         mounting = mountings.get(sensor) if kind in ("scan", "fix") else None
         longest = max(frames.longest_gaps, key=lambda gap: gap[1], default=None)
@@ -295,10 +271,8 @@ def _sensors(content: Content) -> Markup | None:
     return table(heads, rows)
 
 
-def _settings(content: Content) -> Markup | None:
+def _settings(content: Content) -> Markup:
     mapping = content.summary.mapping
-    if mapping is None:
-        return None
     settings = mapping.get("settings")
     plain = {name: value for name, value in mapping.items() if name != "settings"}
     groups = {"mapping": plain, **(settings if isinstance(settings, Mapping) else {})}
@@ -325,8 +299,8 @@ def section(title: str, *parts: object) -> Markup | None:
     return tag("section", tag("h2", title), parts)
 
 
-def _list(lines: Sequence[str]) -> Markup | None:
-    return tag("ul", [tag("li", line) for line in lines]) if lines else None
+def _list(lines: Sequence[str]) -> Markup:
+    return tag("ul", [tag("li", line) for line in lines])
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> Markup | None:

@@ -1,4 +1,5 @@
 import json
+import math
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
@@ -63,7 +64,6 @@ def change_summary(result: Path, **values: object) -> None:
 
 
 def test_a_page_shows_map_path_states_sensors_warnings_and_settings(result: Path):
-    assert write_report(result, result / REPORT_FILE) == []
     page = page_of(result)
     (image,) = [of for name, of in page.tags if name == "image"]
     assert image["href"].startswith("data:image/png;base64,iVBORw0KGgo")
@@ -120,38 +120,36 @@ def test_texts_of_a_recording_are_texts(result: Path):
     assert "\\udce4" in page.text
 
 
-def test_an_older_result_says_what_it_does_not_hold(result: Path):
+def test_a_result_without_its_states_is_bad_input(result: Path):
     (result / "states.csv").unlink()
+    with pytest.raises(InputError, match=r"states\.csv: cannot be read"):
+        write_report(result, result / REPORT_FILE)
+
+
+def test_a_result_without_a_graph_says_why_it_shows_no_loops(result: Path):
     shutil.rmtree(result / "map")
-    summary = json.loads((result / "summary.json").read_text())
-    old = {"profile": "corridor", "scans": 40, "state": summary["state"], "state_reasons": {}, "lost": 1}
-    (result / "summary.json").write_text(json.dumps(old))
-    missing = write_report(result, result / REPORT_FILE)
-    assert [line.split(":")[0] for line in missing] == [
-        "sigma and states over time",
-        "errors of the loops",
-        "rates and gaps of the sensors",
-        "settings",
-        "warnings",
-    ]
     page = page_of(result)
-    assert all(line in page.text for line in missing)
-    assert page.count("polyline", "way") == 1
+    assert "No graph is stored: the profile has none" in page.text
     assert page.count("image", "cells") == 1  # that of map.yaml
 
 
-@pytest.mark.parametrize(
-    ("summary", "fault"),
-    [
-        ("[]", "expected a JSON object"),
-        ("{", "summary.json"),
-        ('{"scans": "many"}', "summary.json: scans: Input should be a valid integer"),
-        ('{"sensors": {"front/scan": {"rate_hz": 1}}}', r"summary.json: sensors.front/scan.frames: Field"),
-        ('{"duration_s": NaN}', "summary.json: duration_s"),
-    ],
-)
+@pytest.mark.parametrize(("summary", "fault"), [("[]", "expected a JSON object"), ("{", "summary.json")])
 def test_a_damaged_summary_is_bad_input(result: Path, summary: str, fault: str):
     (result / "summary.json").write_text(summary)
+    with pytest.raises(InputError, match=fault):
+        write_report(result, result / REPORT_FILE)
+
+
+@pytest.mark.parametrize(
+    ("values", "fault"),
+    [
+        ({"scans": "many"}, "summary.json: scans: Input should be a valid integer"),
+        ({"sensors": {"front/scan": {"rate_hz": 1}}}, r"summary.json: sensors.front/scan.frames: Field"),
+        ({"sensors": {"front/scan": {"rate_hz": math.nan}}}, "summary.json: sensors.front/scan"),
+    ],
+)
+def test_a_summary_of_other_facts_is_bad_input(result: Path, values: dict[str, object], fault: str):
+    change_summary(result, **values)
     with pytest.raises(InputError, match=fault):
         write_report(result, result / REPORT_FILE)
 
