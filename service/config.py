@@ -8,7 +8,7 @@ import difflib
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -56,12 +56,6 @@ class ServiceConfig(ReplayConfig):
     vehicle: str
     sinks: Mapping[str, Any]  # section -> its config model, see service.sinks.registry
     text: str
-
-
-def without_page(config: ServiceConfig) -> ServiceConfig:
-    """The same, with the operator's page switched off."""
-    off = config.sinks["web"].model_copy(update={"enabled": False})
-    return replace(config, sinks={**config.sinks, "web": off})
 
 
 def mountings(sensors: Mapping[str, Any]) -> dict[str, SE2]:

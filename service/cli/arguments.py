@@ -74,8 +74,7 @@ def _add_run(commands: Any) -> None:
     run = _add(
         commands, "run", "the live service: drivers, mapping, Zenoh, recording, until SIGTERM or Ctrl-C"
     )
-    _add_config(run)
-    _add_no_web(run)
+    run.add_argument("config", type=Path, metavar="CONFIG.yaml")
 
 
 def _add_demo(commands: Any) -> None:
@@ -107,7 +106,7 @@ def _add_demo(commands: Any) -> None:
     demo.add_argument(
         "--out", type=Path, default=Path("out"), metavar="DIR", help="sessions and map go here (default: out)"
     )
-    _add_no_web(demo)
+    demo.add_argument("--no-web", action="store_true", help="serve no operator's page")
 
 
 def _add_simulate(commands: Any) -> None:
@@ -359,7 +358,9 @@ def _add_score(commands: Any) -> None:
 
 def _add_check_and_doctor(commands: Any) -> None:
     check = _add(commands, "check", "validate a config; every fault with its place and what to write instead")
-    _add_config(check).add_argument(
+    given = check.add_mutually_exclusive_group(required=True)
+    given.add_argument("config", type=Path, nargs="?", metavar="CONFIG.yaml")
+    given.add_argument(
         "--schema", action="store_true", help="print the JSON schema of a config instead, for editors"
     )
 
@@ -429,16 +430,6 @@ def _add_profile(parser: argparse.ArgumentParser, help_text: str) -> None:
     )
 
 
-def _add_config(parser: argparse.ArgumentParser) -> Any:
-    """The group of which one is given."""
-    given = parser.add_mutually_exclusive_group(required=True)
-    given.add_argument("config", type=Path, nargs="?", metavar="CONFIG.yaml")
-    given.add_argument(
-        "--config", type=Path, dest="config_option", metavar="CONFIG.yaml", help=argparse.SUPPRESS
-    )
-    return given
-
-
 def _add_engine(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
@@ -462,7 +453,3 @@ def _add_listen(parser: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT",
         help="where the page is served (default: 127.0.0.1:8080; port 0: any free one)",
     )
-
-
-def _add_no_web(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--no-web", action="store_true", help="serve no operator's page")

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from service.cli.console import kernel_progress, print_result
 from service.cli.status_line import status_line
-from service.cli.upkeep import config_path
 from service.compile.cache import ensure_cache_dir
 from service.runtime.early_mapper import EarlyMapper, mapping_section
 
@@ -24,18 +23,16 @@ def no_collections() -> Iterator[None]:
 
 
 def run(parsed: argparse.Namespace) -> int:
-    path = config_path(parsed)
+    path: Path = parsed.config
     ensure_cache_dir()
     with EarlyMapper() as early:  # it imports beside what follows
         early.tell(mapping_section(path))
         with no_collections():
-            from service.config import load_config, without_page
+            from service.config import load_config
 
         config = load_config(path)  # its faults first: all else takes seconds
         with no_collections():
             from service.runtime.run import run as run_service
-        if parsed.no_web:
-            config = without_page(config)
         with status_line() as line:
             summary = run_service(config, watch=line, early=early)
     if parsed.json:

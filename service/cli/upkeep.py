@@ -14,19 +14,13 @@ from service.encoding import warm_up as warm_up_encoding
 from service.errors import ConfigError
 
 
-def config_path(parsed: argparse.Namespace) -> Path:
-    """`run CONFIG.yaml` and `run --config CONFIG.yaml` are the same."""
-    path: Path = parsed.config if parsed.config is not None else parsed.config_option
-    return path
-
-
 def check(parsed: argparse.Namespace) -> int:
     if parsed.schema:
         return _print_schema()
     from service.config import laser_names, load_config, mapped_lasers
     from service.offline.setup.config_here import faults_here
 
-    path = config_path(parsed)
+    path: Path = parsed.config
     faults: list[str] = []
     mapped: tuple[str, ...] = ()
     others: list[str] = []

@@ -77,7 +77,6 @@ def test_bash_completes_commands_options_names_and_files(tmp_path: Path):
         ([], ""),
         (["drive"], ""),
         (["run"], ""),
-        (["run", "a.yaml", "--config", "b.yaml"], ""),
         (["demo", "--seconds", "0"], ""),
         (["demo", "--world", "ofice"], ""),
         (["replay"], ""),
@@ -143,9 +142,8 @@ BASE = "base: {type: irobot_create, device: /dev/b}"
 )
 def test_check_says_which_lasers_are_mapped(sensors, mapped, words, good, capsys):
     good.write_text(GOOD.replace(FRONT, sensors))
-    for form in ([str(good)], ["--config", str(good)]):
-        assert main(["check", *form]) == 0
-        assert capsys.readouterr().out.startswith(f"{good}: ok; {words}")
+    assert main(["check", str(good)]) == 0
+    assert capsys.readouterr().out.startswith(f"{good}: ok; {words}")
     assert main(["check", str(good), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["mapped_lasers"] == mapped
 
