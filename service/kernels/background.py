@@ -9,7 +9,7 @@ from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.contour_blur import BLURRED, HIT, PASSED, LikelihoodLevel, ScanCells, touch_cell
 from service.kernels.rays import begin_ray
-from service.kernels.surfels import TILE_BITS, TILE_CELLS, TILE_MASK
+from service.kernels.surfels import TILE_BITS, TILE_MASK
 from service.kernels.tiles import NO_TILE, find_tile
 
 MAX_SEEN = 65_535
@@ -25,7 +25,6 @@ class LearningSettings(NamedTuple):
     sigma_cells: float  # sigma_l
     is_printed: bool
     is_bounded: bool
-    counts_blur: bool
     scans: int = 1  # number of scans this one stands for: it and those skipped before it
 
 
@@ -77,26 +76,6 @@ def mark_passed(xy_base, sensor_xy_m, pose, level, protect_count, free_range_m, 
             else:
                 row += step_row
                 next_row += per_row
-
-
-@kernel(LikelihoodLevel, int, ScanCells)
-def mark_unseen(level, protect_count, cells):
-    """Add every cell of the map that is not on the scan's list to it, with value 0: the rule as printed.
-
-    Arguments as in mark_passed.
-    """
-    slots = level.tiles.slots
-    for i in range(slots.shape[0]):
-        for j in range(slots.shape[1]):
-            slot = slots[i, j]
-            if slot == NO_TILE:
-                continue
-            row = (i + level.tiles.origin[0]) << TILE_BITS
-            column = (j + level.tiles.origin[1]) << TILE_BITS
-            for r in range(TILE_CELLS):
-                for q in range(TILE_CELLS):
-                    if level.likelihood[slot, r, q] > 0.0 and level.seen[slot, r, q] <= protect_count:
-                        touch_cell(level, row + r, column + q, cells)
 
 
 @inner_kernel
@@ -213,7 +192,7 @@ def learn_scan(level, settings, cells):
 
     level      LikelihoodLevel   in and out
     settings   LearningSettings
-    cells      ScanCells         from blur_scan and mark_passed or mark_unseen, all rows present
+    cells      ScanCells         from blur_scan and mark_passed, all rows present
     A cell seen for the first time takes the scan's likelihood. Others rise where hit and fall where passed. A
     blurred cell is interpolated between those (as printed), or averaged with the scan's likelihood.
     Source: Li et al. 2016, section 2.4, eqs. 13 to 18.
@@ -244,7 +223,7 @@ def learn_scan(level, settings, cells):
             new = interpolated(level, k, old, value, settings, cells)
         else:
             new = averaged(old, np.float64(level.highest[slot, r, q]), value, settings)
-        store(level, slot, r, q, new, settings.scans if settings.counts_blur else 0)
+        store(level, slot, r, q, new, settings.scans)
 
 
 @inner_kernel

@@ -73,7 +73,6 @@ class BlurSettings(NamedTuple):
     is_squared: bool
     least: float  # smaller likelihoods count as 0
     uses_lone_points: bool
-    is_sub_cell: bool
 
 
 @inner_kernel
@@ -218,7 +217,7 @@ def interval(slope, offset, low, high):
 def blur_point(u, v, level, settings, cells):
     """Raise the cells around an isolated point, by the narrower of the two blurs."""
     cells_wide = min(settings.along_cells, settings.across_cells)
-    narrow = BlurSettings(cells_wide, cells_wide, settings.is_squared, settings.least, True, True)
+    narrow = BlurSettings(cells_wide, cells_wide, settings.is_squared, settings.least, True)
     reach = blur_reach_cells(narrow)
     for row in range(math.ceil(v - reach - 0.5), math.floor(v + reach - 0.5) + 1):
         for column in range(math.ceil(u - reach - 0.5), math.floor(u + reach - 0.5) + 1):
@@ -252,10 +251,7 @@ def blur_contour(nodes, reach, level, settings, cells):
 
 @inner_kernel
 def mark_hits(nodes, level, settings, cells):
-    """Mark the cells of points as HIT; on a traditional map every cell that the contour crosses.
-
-    Without is_sub_cell their likelihood is 1, else that of the centre of the cell.
-    """
+    """Mark the cells of points as HIT; on a traditional map every cell that the contour crosses."""
     for k in range(nodes.shape[0]):
         steps = 1
         du = dv = 0.0
@@ -269,8 +265,6 @@ def mark_hits(nodes, level, settings, cells):
             i = touch_cell(level, row, math.floor(nodes[k, 0] + share * du), cells)
             if i >= 0:
                 cells.kind[i] = HIT
-                if not settings.is_sub_cell:
-                    cells.value[i] = np.float32(1.0)
 
 
 @kernel(Float64_2D, Int32_1D, Float64_1D, LikelihoodLevel, BlurSettings, ScanCells)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.kernels import background, contour_blur
-from service.kernels.background import LearningSettings, learn_scan, mark_passed, mark_unseen
+from service.kernels.background import LearningSettings, learn_scan, mark_passed
 from service.kernels.contour_blur import (
     BLURRED,
     HIT,
@@ -25,8 +25,8 @@ interpolated = from_python(background.interpolated)
 spread_falls = from_python(background.spread_falls)
 touch_cell = from_python(contour_blur.touch_cell)
 
-BLUR = BlurSettings(10.0, 1.5, False, 0.01, True, True)
-PRINTED = LearningSettings(0.01, 3.0, 100, 1.5, True, False, True)
+BLUR = BlurSettings(10.0, 1.5, False, 0.01, True)
+PRINTED = LearningSettings(0.01, 3.0, 100, 1.5, True, False)
 AVERAGED = PRINTED._replace(is_printed=False)
 CELL_M = 0.1
 ORIGIN = np.zeros(3)
@@ -155,16 +155,14 @@ def test_only_what_a_beam_passed_fades_and_behind_it_all_stays() -> None:  # A37
     clear_scan(level, cells)
     mark_passed(far, SENSOR, ORIGIN, level, 0, 20.0, cells)  # A38: seen more often than that
     assert cells.rows[0] == 0
-    mark_unseen(level, 100, cells)
-    assert cells.rows[0] == np.count_nonzero(level.likelihood)
 
 
 def test_a_traditional_contour_is_as_likely_between_its_points() -> None:  # A10
     sparse = np.array([[0.05, 0.05], [1.05, 0.05]])
     ours = blurred_cells(sparse, BLUR._replace(along_cells=1.5))
-    traditional = blurred_cells(sparse, BLUR._replace(along_cells=math.inf, is_sub_cell=False))
+    traditional = blurred_cells(sparse, BLUR._replace(along_cells=math.inf))
     assert ours[0, 5][1] < 0.05
-    assert traditional[0, 5] == (HIT, 1.0)
+    assert traditional[0, 5] == (HIT, traditional[0, 0][1])
 
 
 def test_the_squared_blur_is_a_gaussian() -> None:  # A9

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from drivers.section import Section
 from service.geometry.se2 import SE2
-from service.kernels.background import LearningSettings, learn_scan, mark_passed, mark_unseen
+from service.kernels.background import LearningSettings, learn_scan, mark_passed
 from service.kernels.contour_blur import (
     BlurSettings,
     LikelihoodLevel,
@@ -45,7 +45,6 @@ class BlurConfig(Section):
     across_cells: float = Field(default=1.5, gt=0.0)
     traditional: bool = False  # the contour as likely as its points, blurred across only
     squared: bool = False  # a Gaussian instead of the printed exponent
-    sub_cell: bool = True  # cells with a point are as likely as their centre; False: 1
     least: float = Field(default=0.05, gt=0.0, lt=1.0)  # smaller likelihoods count as 0
 
 
@@ -57,10 +56,8 @@ class LearningConfig(Section):
     protect_count: int = Field(default=1000, ge=0, le=65_534)  # n_th
     sigma_cells: float = Field(default=1.5, gt=0.0, le=10.0)  # sigma_l
     decrease: bool = True
-    forget_unseen: bool = False  # True: cells out of sight fade as well, as printed
     update: Literal["averaged", "printed"] = "averaged"  # printed: max() at a hit, interpolation beside it
     bounded: bool = True  # printed interpolation stops at the scan's own likelihood; False: it fills up
-    count_blur: bool = True  # cells that are only blurred count as seen
     free_range_m: float = Field(default=20.0, gt=0.0)  # length up to which beams lower cells
 
 
@@ -87,7 +84,6 @@ class ContourMap:
             blur.squared,
             blur.least,
             config.contours.lone_points,
-            blur.sub_cell,
         )
         self._learning = LearningSettings(
             learning.rate,
@@ -96,7 +92,6 @@ class ContourMap:
             learning.sigma_cells,
             learning.update == "printed",
             learning.bounded,
-            learning.count_blur,
         )
         self._cells = _room_for(FIRST_SCAN_CELLS)
         self.start_over()
@@ -199,21 +194,16 @@ class ContourMap:
         """List the cells of a level that the scan observes; the list may be too short."""
         learning = self._config.learning
         blur_scan(points.xy_base, contour, pose, level, self._blur, self._cells)
-        if not learning.decrease:
-            return
-        if learning.forget_unseen:
-            mark_unseen(level, learning.protect_count, self._cells)
-            return
-        sensor_xy_m = points.sensor_xy_m
-        mark_passed(
-            points.xy_base,
-            sensor_xy_m,
-            pose,
-            level,
-            learning.protect_count,
-            learning.free_range_m,
-            self._cells,
-        )
+        if learning.decrease:
+            mark_passed(
+                points.xy_base,
+                points.sensor_xy_m,
+                pose,
+                level,
+                learning.protect_count,
+                learning.free_range_m,
+                self._cells,
+            )
 
     def _cell_m(self, number: int) -> float:
         return self._config.cell_m * float(2**number)

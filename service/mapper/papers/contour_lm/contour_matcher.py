@@ -33,7 +33,6 @@ MAX_TRIALS, MAX_DAMPING, DAMPED_FLOOR = 100, 1e6, 1e-9  # of one step; without a
 class WeightsConfig(Section):
     """Weights of points that balance the orientations of walls (eq. 9)."""
 
-    balance: bool = True  # False: equal weights
     bins: int = Field(default=12, ge=1, le=180)  # B, over 180 deg
     middle_count: float = Field(default=100.0, gt=0.0)  # of 540 beams; scaled to the sensor's
     slope_count: float = Field(default=50.0, gt=0.0)
@@ -131,8 +130,6 @@ class ContourLm:
         """(N,) weight of each point, 1 in the mean."""
         config = self._config.weights
         weights = np.ones(len(normal_rad))
-        if not config.balance:
-            return weights
         scale = len(points.scan.range_m) / PRINTED_BEAMS
         histogram = np.empty(config.bins, np.int64)
         middle, slope = config.middle_count * scale, config.slope_count * scale

@@ -45,13 +45,11 @@ class OrthogonalMapConfig(Section):
     cell_m: float = Field(default=0.025, ge=0.005, le=0.5)  # of the finest level
     ratio: Literal[2, 4, 5] = 4
     levels: int = Field(default=3, ge=1, le=6)
-    align_axes: bool = True
     align_share: float = Field(default=0.35, gt=0.0, le=1.0)
     weigh_segments: bool = True  # off: the plain occupancy likelihood map
     segments: SegmentsConfig = SegmentsConfig()
     segment_sigma_cells: float = Field(default=0.5, gt=0.0)
     other_sigma_cells: float = Field(default=3.0, gt=0.0)
-    across_only: bool = False  # narrow only across the wall
     about_point: bool = True
     rule: Literal["noisy_or", "maximum"] = "noisy_or"
     insert_distance_m: float = Field(default=0.3, ge=0.0)
@@ -79,8 +77,7 @@ class OrthogonalMap:
     def __init__(self, config: OrthogonalMapConfig) -> None:
         self._config = config
         narrow, wide = config.segment_sigma_cells, config.other_sigma_cells
-        along = wide if config.across_only else narrow
-        self._sigma_cells = np.array([[wide, wide], [along, narrow], [narrow, along], [narrow, narrow]])
+        self._sigma_cells = np.array([[wide, wide], *3 * [[narrow, narrow]]])
         self.pose_axes_odom = SE2()  # odom in the axes of the building; set by the first scan
         self.start_over()
 
@@ -142,7 +139,7 @@ class OrthogonalMap:
         if match.state == "lost" or len(points.xy_base) == 0 or not self._is_due(points, match):
             return MapChange()
         gap_m = self.gaps(points)
-        if self.is_empty and self._config.align_axes:
+        if self.is_empty:
             self._align(points, gap_m, pose)
         self._last = pose
         self._scan_count += 1
