@@ -4,7 +4,7 @@ import math
 import tempfile
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -18,7 +18,7 @@ from service.mapper.filters.deskew import DeskewByTwist
 from service.mapper.scan_match.narrow_walls import Matrix, NarrowWalls
 from service.mapper.scan_match.submaps import Submap
 from simulators.worlds import WORLDS
-from tests.accuracy.driving import Errors, Trip
+from tests.accuracy.driving import Errors, Trip, default_with
 from tests.accuracy.given import error_mm, recording_of
 from tests.accuracy.scored import mapped
 from tests.accuracy.sensors import LMS100_10HZ, MIRRORS, WRONG
@@ -27,6 +27,7 @@ from tests.shared_data import SHARED
 from tests.simulated import LMS100_50HZ
 
 METHOD = "service.mapper.scan_match"
+DYNAMIC_FILTER = f"{METHOD}.dynamic_filter"
 
 
 def normals_of_points_as_they_are(*arguments: Any) -> None:
@@ -39,6 +40,12 @@ def deskewed_by_twist(record: FilterRecord, _odometry: Track, _gyro: Track, *arr
     """In place of deskew_sweep."""
     beam_time_s, xy_raw, xy_base = arrays
     deskew_points(xy_raw, beam_time_s, record["twist"][0], xy_base)
+
+
+def not_deskewed(_record: FilterRecord, _odometry: Track, _gyro: Track, *arrays: Matrix) -> None:
+    """In place of deskew_sweep."""
+    _, xy_raw, xy_base = arrays
+    xy_base[:] = xy_raw
 
 
 def by_single_scans(walls: NarrowWalls, points: Points, normals: Matrix, pose: Matrix) -> Matrix:
@@ -97,13 +104,29 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         "service.estimator.standstill.Standstill",
         {"is_uninformative": lambda *_: False},
     ),
+    ("deskew", "service.estimator.estimator", {"deskew_sweep": not_deskewed}),
+    ("weight by static score", DYNAMIC_FILTER, {"MIN_NEW_WEIGHT": 1.0}),
+    ("refusal of points in free space", DYNAMIC_FILTER, {"FREE_S": 0.0}),
     ("bias of the ranges learnt ([21])", f"{METHOD}.range_bias.RangeBias", {"is_due": lambda *_: False}),
+)
+# what is switched off, and the settings that do it
+SETTINGS: tuple[tuple[str, dict[str, dict[str, Any]]], ...] = (
+    ("robust loss", {"matcher": {"cauchy_m": 1e3}}),
+    (
+        "learning of odometry's scale and lag",
+        {"motion_model": {"odometry_scale_sigma": 0.0, "odometry_lag_sigma_s": 0.0}},
+    ),
+    ("dynamic-object filter", {"local_map": {"dynamic_filter": {"enough_s": 0.0}}}),
+    ("ray-cast removal", {"local_map": {"dynamic_filter": {"behind_m": 1e3}}}),
 )
 TRIPS = {
     "corridor100": Trip(WORLDS["corridor100"], LMS100_50HZ),
     "bare corridor, at its end": Trip(WORLDS["featureless"], LMS100_50HZ, 100.0),
     "ring": Trip(WORLDS["ring"], LMS100_50HZ),
+    "ring, no odometry": Trip(WORLDS["ring"], replace(LMS100_50HZ, rate_hz=25.0), 40.0, wheels=None),
     "office": Trip(WORLDS["office"], LMS100_50HZ),
+    "spins": Trip(WORLDS["spins"], LMS100_50HZ, 30.0),
+    "crowd": Trip(WORLDS["crowd"], LMS100_50HZ, 40.0),
     "office, 30 % of the beams lost": Trip(
         WORLDS["office"], replace(LMS100_50HZ, model=replace(LMS100_50HZ.model, dropout_share=0.3))
     ),
@@ -122,10 +145,11 @@ REAL = ("fr079", "intel", "csail", "aces")
 
 @dataclass(frozen=True)
 class Rule:
-    """Is in force unless `off` says otherwise."""
+    """Is in force unless `off` or `settings` say otherwise."""
 
-    module: str
-    off: dict[str, Any]
+    module: str = ""
+    off: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def _switched(self) -> AbstractContextManager[Any]:
@@ -134,19 +158,20 @@ class Rule:
     def trip_mm(self, trip: Trip, seeds: Sequence[int], is_end: bool) -> str:
         errors = Errors()
         with self._switched:
-            for made, done in trip.runs(seeds):
+            for made, done in trip.runs(seeds, default_with(**self.settings)):
                 errors.add(made, done)
         values = sorted(errors.end_mm if is_end else errors.finished_mm)
         return f"{values[len(values) // 2]:.1f} ({values[-1]:.1f})"
 
     def recording_mm(self, name: str) -> str:
         with tempfile.TemporaryDirectory() as out, self._switched:
-            mapped(recording_of(name), Path(out))
+            mapped(recording_of(name), Path(out), self.settings)
             return f"{error_mm(name, Path(out) / 'trajectory.tum'):.1f}"
 
 
 def rules(seeds: Sequence[int]) -> Section:
     kinds = [(what, Rule(module, off)) for what, module, off in RULES]
+    kinds += [(what, Rule(settings=settings)) for what, settings in SETTINGS]
     lines = ["| drive | " + " | ".join(what for what, _ in kinds) + " |", "|---|" + "---|" * len(kinds)]
     for name, trip in TRIPS.items():
         cells = [rule.trip_mm(trip, seeds, "end" in name) for _, rule in kinds]

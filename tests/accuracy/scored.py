@@ -1,14 +1,16 @@
 """Replays of recordings by the default profile, and how far their trajectories are off."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from service.offline.replay.replay import Replay, ReplayOptions, replay, write_replay
 from service.offline.score.score import RelationErrors, RelationsScore, TrajectoryScore, score
 
 
-def mapped(recording: Path, out: Path) -> Replay:
-    """Its result is in `out`."""
-    done = replay([recording], ReplayOptions())
+def mapped(recording: Path, out: Path, settings: Mapping[str, Any] | None = None) -> Replay:
+    """Its result is in `out`. settings: other values of some keys, by box."""
+    done = replay([recording], ReplayOptions(mapping={"settings": settings} if settings else {}))
     write_replay(done, out)
     return done
 

@@ -8,7 +8,6 @@ from service.compile.warm_up import warm_up
 from service.mapper.profiles import import_methods
 from service.version import VERSION
 from tests.accuracy import (
-    ablations,
     anchored,
     buildings,
     consistency,
@@ -41,7 +40,7 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
         *(sensors.wrong_mounting, sensors.lux_alone, anchored.anchored, trials.parked, lasers.lasers),
         *(outages.outages, outages.outages_alone, scenes.scenes, long_drives.thinned),
         *(long_drives.hour_of_laps, relocalisation.relocalisation, cost.scans, cost.replay_of_fr079),
-        *(cost.growing_map, cost.localised, cost.start, ablations.ablations, rules.rules),
+        *(cost.growing_map, cost.localised, cost.start, rules.rules),
         *(loop_rules.loop_rules,),
     )
 }
