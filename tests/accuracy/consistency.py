@@ -6,10 +6,10 @@ import numpy as np
 
 from service.mapper.profiles import MappingConfig
 from simulators.worlds import WORLDS
-from tests.accuracy.driving import Trip
+from tests.accuracy.driving import Trip, nees_of
 from tests.accuracy.sensors import GOOD_WHEELS, LUX_AHEAD
 from tests.papers.report import Row, Section
-from tests.simulated import LMS100_50HZ, UTM30LX_40HZ, Imu, Run
+from tests.simulated import LMS100_50HZ, UTM30LX_40HZ, Imu
 
 EXPECTED = 3.0  # of the normalised squared error of a pose
 TRIPS = {
@@ -26,16 +26,11 @@ TRIPS = {
 }
 
 
-def nees_of(done: Run) -> float:
-    """Mean over every tenth live pose; without the first tenth, where error and covariance are nearly 0."""
-    tenth = range(len(done.outputs) // 10, len(done.outputs), 10)
-    return float(
-        np.mean([done.errors[k] @ np.linalg.solve(done.outputs[k].covariance, done.errors[k]) for k in tenth])
-    )
-
-
 def nees_by_trip(seeds: Sequence[int], config: MappingConfig | None = None) -> dict[str, list[float]]:
-    return {name: [nees_of(done) for _, done in trip.runs(seeds, config)] for name, trip in TRIPS.items()}
+    return {
+        name: [nees_of(done.outputs, done.errors) for _, done in trip.runs(seeds, config)]
+        for name, trip in TRIPS.items()
+    }
 
 
 def consistency(seeds: Sequence[int]) -> Section:

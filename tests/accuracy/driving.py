@@ -14,6 +14,7 @@ from service.geometry.se2 import SE2
 from service.mapper.corrections import corrected
 from service.mapper.profiles import MappingConfig, mapping_config
 from service.offline.score.score import align
+from service.outputs import MapperOutput
 from simulators.world import World
 from tests.papers.report import Row
 from tests.simulated import Drive, Imu, Laser, Run, Wheels, begun_at, drive, heading_rad, run
@@ -71,6 +72,15 @@ def ate_m(made: Drive, done: Run, poses: Sequence[SE2]) -> float:
     truth = poses_of([made.truth[output.stamp_ns] for output in done.outputs])
     off = compose(align(estimate, truth), estimate) - truth
     return float(np.sqrt((off[:, :2] ** 2).sum(axis=1).mean()))
+
+
+def nees_of(outputs: Sequence[MapperOutput], errors: npt.NDArray[np.float64]) -> float:
+    """Mean over every tenth live pose; without the first tenth, where error and covariance are nearly 0.
+
+    errors: (N, 3) of each, against the first scan
+    """
+    tenth = range(len(outputs) // 10, len(outputs), 10)
+    return float(np.mean([errors[k] @ np.linalg.solve(outputs[k].covariance, errors[k]) for k in tenth]))
 
 
 def lost_share(done: Run) -> float:

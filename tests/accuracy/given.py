@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from drivers.frames import OdometrySample
+from service.geometry.poses import between
 from service.geometry.se2 import SE2
 from service.offline.replay.replay import Replay
 from service.offline.score.score import RelationErrors
 from service.offline.score.trajectory import read_tum, write_tum
 from tests.accuracy.between_scans import with_odometry
+from tests.accuracy.driving import nees_of, poses_of
 from tests.accuracy.pair_fit import pair_fit
 from tests.accuracy.recorded import WithoutOdometry, rewrite
 from tests.accuracy.scored import against_relations, against_truth, lost_percent, mapped
@@ -192,22 +194,7 @@ def _scored_between_scans(recording: Path, relations: Path, out: Path) -> Relati
 
 def off_and_nees(done: Replay, truth: Path) -> tuple[np.ndarray, float]:
     """(N,) m that each live pose is off, in the frame of the first scan; mean NEES of every tenth."""
-    path = read_tum(truth)
-    stamps = np.array([output.stamp_ns for output in done.outputs])
-    heading = np.unwrap(path.pose[:, 2])
-    true = np.column_stack(
-        [np.interp(stamps, path.stamp_ns, column) for column in (*path.pose.T[:2], heading)]
-    )
-    poses = [output.pose_map_base for output in done.outputs]
-    found = np.array([(pose.x_m, pose.y_m, pose.theta_rad) for pose in poses])
-    error = _between(_between(true[0], true), _between(found[0], found))
-    error[:, 2] = (error[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
-    tenth = range(len(found) // 10, len(found), 10)
-    nees = [error[k] @ np.linalg.solve(done.outputs[k].covariance, error[k]) for k in tenth]
-    return np.hypot(error[:, 0], error[:, 1]), float(np.mean(nees))
-
-
-def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
-    d = b - a
-    return np.stack([c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], d[..., 2]], axis=-1)
+    found = poses_of([output.pose_map_base for output in done.outputs])
+    true = read_tum(truth).at(np.array([output.stamp_ns for output in done.outputs]))
+    error = between(between(true[0], true), between(found[0], found))
+    return np.hypot(error[:, 0], error[:, 1]), nees_of(done.outputs, error)
