@@ -91,14 +91,21 @@ def recording_of(name: str) -> Path:
     return folder / f"{name}.mcap"
 
 
-def error_mm(name: str, trajectory: Path) -> float:
-    """Of a trajectory of one of them: RMS against the truth, or the mean of its relations."""
+def truth_of(name: str) -> tuple[Path, float]:
+    """The relations of a building, and the shift of its stamps to theirs in s; the trajectory of a world."""
     recording = recording_of(name)
     for of, relations, shift_s, *_ in DATASETS:
         if of == name:
-            error = against_relations(trajectory, recording.with_name(f"{relations}.relations"), shift_s)
-            return 1e3 * error.translation_m.mean
-    return 1e3 * against_truth(trajectory, recording.with_suffix(".tum")).ate_aligned_m.rms
+            return recording.with_name(f"{relations}.relations"), shift_s
+    return recording.with_suffix(".tum"), 0.0
+
+
+def error_mm(name: str, trajectory: Path) -> float:
+    """Of a trajectory of one of them: RMS against the truth, or the mean of its relations."""
+    truth, shift_s = truth_of(name)
+    if truth.suffix == ".relations":
+        return 1e3 * against_relations(trajectory, truth, shift_s).translation_m.mean
+    return 1e3 * against_truth(trajectory, truth).ate_aligned_m.rms
 
 
 def _world(name: str, bound_m: float | None, out: Path) -> list[Row]:

@@ -1,9 +1,7 @@
 """Where a path bends: the heading found from scan to scan, against a path whose loops are closed."""
 
 import itertools
-import json
 import math
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +12,7 @@ import numpy.typing as npt
 from drivers.frames import OdometrySample
 from service.geometry.se2 import SE2, wrap_angle
 from service.offline.replay.replay import ReplayOptions, replay
+from service.offline.score.trajectory import Trajectory
 from service.recording.mcap_source import open_session
 
 JUMP_DEG = 3.0
@@ -51,19 +50,15 @@ def bends(path: Poses, reference: Poses, until_s: float) -> tuple[Bend, Bend]:
 
 def path_of(profile: str, recording: Path) -> Poses:
     """As a profile has it in the end."""
-    with tempfile.TemporaryDirectory() as made:
-        config = Path(made) / "mapping.yaml"  # JSON is YAML
-        config.write_text(json.dumps({"mapping": {"profile": profile}}))
-        done = replay([recording], ReplayOptions(config=config))
+    done = replay([recording], ReplayOptions(profile=profile))
     return dict(zip((output.stamp_ns for output in done.outputs), done.poses_map_base, strict=True))
 
 
 def path_of_wheels(recording: Path, stamps_ns: list[int]) -> Poses:
     frames = open_session([recording]).frames()
-    said = [(f.stamp_ns, f.x_m, f.y_m, f.theta_rad) for f in frames if isinstance(f, OdometrySample)]
-    stamps, x_m, y_m, theta_rad = np.array(said).T
-    at = [np.interp(stamps_ns, stamps, column) for column in (x_m, y_m, np.unwrap(theta_rad))]
-    return {stamp: SE2(*map(float, pose)) for stamp, *pose in zip(stamps_ns, *at, strict=True)}
+    said = {f.stamp_ns: (f.x_m, f.y_m, f.theta_rad) for f in frames if isinstance(f, OdometrySample)}
+    path = Trajectory(np.array(list(said)), np.array(list(said.values())))
+    return {at: SE2(*pose) for at, pose in zip(stamps_ns, path.at(np.array(stamps_ns)).tolist(), strict=True)}
 
 
 def _turn(path: Poses, before: int, at: int) -> float:

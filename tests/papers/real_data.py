@@ -17,8 +17,7 @@ import numpy.typing as npt
 from service.mapper.profiles import METHODS
 from service.offline.score.score import RelationsScore, score
 from tests.papers.headings import bends, path_of, path_of_wheels
-from tests.papers.recorded import RELATIONS as RELATIONS_OF
-from tests.papers.recorded import scored
+from tests.papers.recorded import BUILDINGS, scored
 from tests.papers.report import FOLDER, Row, Scenario, Section, seeds_text
 from tests.shared_data import SHARED
 
@@ -226,6 +225,6 @@ def where_it_bends(seeds: Sequence[int]) -> Section:  # recordings: seeds change
     )
 
 
-SCENARIOS: dict[str, Scenario] = {name: partial(relations, name) for name in RELATIONS_OF}
+SCENARIOS: dict[str, Scenario] = {name: partial(relations, name) for name in BUILDINGS}
 SCENARIOS["bends"] = where_it_bends
 SCENARIOS["buildings"] = buildings

@@ -9,16 +9,11 @@ from typing import Any
 
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.offline.score.score import RelationsScore, score
+from tests.accuracy.given import recording_of, truth_of
+from tests.accuracy.scored import lost_percent
 from tests.papers.report import Row
-from tests.shared_data import SHARED
 
-# recording: its relations, and the shift of its stamps to theirs in s; `derived` ones are good to 5 to 10 cm
-RELATIONS = {
-    "fr079": ("official", 0.0),
-    "intel": ("official", 0.0),
-    "csail": ("derived_consecutive", 0.0),
-    "aces": ("derived_consecutive", -1e9),
-}
+BUILDINGS = ("fr079", "intel", "csail", "aces")
 
 
 @dataclass(frozen=True)
@@ -45,19 +40,16 @@ def _scored(profile: str, name: str, settings: str) -> Score | None:
 
 def rescored(profile: str, name: str, settings: str = "{}") -> Score | None:
     """Replayed, whatever was scored before; settings as JSON."""
-    folder = SHARED / ("datasets" if name in RELATIONS else "worlds") / name
-    recording = folder / f"{name}.mcap"
+    recording = recording_of(name)
     if not recording.is_file():
         return None
     with tempfile.TemporaryDirectory() as made:
-        config = Path(made) / "mapping.yaml"  # JSON is YAML
-        config.write_text(json.dumps({"mapping": {"profile": profile, "settings": json.loads(settings)}}))
-        done = replay([recording], ReplayOptions(config=config))
+        laid_over = {"settings": json.loads(settings)}
+        done = replay([recording], ReplayOptions(profile=profile, mapping=laid_over))
         write_replay(done, Path(made))
-        relations, shift_s = RELATIONS.get(name, ("", 0.0))
-        truth = folder / (f"{relations}.relations" if relations else f"{name}.tum")
+        truth, shift_s = truth_of(name)
         found = score(Path(made) / "trajectory.tum", truth, shift_s=shift_s)
-    lost = sum(output.state == "lost" for output in done.outputs) / len(done.outputs)
+    lost = lost_percent(done) / 100.0
     if isinstance(found, RelationsScore):
         return Score(found.errors[0].translation_m.mean, found.errors[0].rotation_deg.mean, None, lost)
     return Score(found.ate_aligned_m.rms, None, found.closure_m, lost)
