@@ -4,47 +4,35 @@ import { byId, onClick, setPressed, setText } from "./dom.js";
 import { decode } from "./protocol.js";
 import { TileMap } from "./tiles.js";
 
-const FLICKER_MS = 700; // slower than three changes a second, which may harm people
-
-/** The map before the newest change, drawn in place of the map as it is: by hand, or in turn. */
+/** The map before the newest change, drawn in place of the map as it is. */
 export class BeforeAfter {
-  timer = null;
-
   constructor(view) {
     this.view = view;
-    [this.toggle, this.flicker] = [byId("show-before"), byId("flicker")];
+    this.toggle = byId("show-before");
     onClick("show-before", () => this.show(!view.showsBefore));
-    onClick("flicker", () => this.#flicker(this.timer === null));
     this.clear();
   }
 
   keep() {
-    this.#flicker(false);
+    this.show(false);
     this.next = { tiles: this.view.tiles.copy(), path: this.view.path, graph: this.view.graph };
   }
 
   made() {
     this.view.before = this.next;
-    this.toggle.hidden = this.flicker.hidden = false;
+    this.toggle.hidden = false;
   }
 
   clear() {
-    this.#flicker(false);
+    this.show(false);
     this.view.before = this.next = null;
-    this.toggle.hidden = this.flicker.hidden = true;
+    this.toggle.hidden = true;
   }
 
   show(isBefore) {
     this.view.showsBefore = isBefore && this.view.before !== null;
     setPressed(this.toggle, this.view.showsBefore);
     this.view.invalidate();
-  }
-
-  #flicker(isOn) {
-    clearInterval(this.timer);
-    this.timer = isOn ? setInterval(() => this.show(!this.view.showsBefore), FLICKER_MS) : null;
-    setPressed(this.flicker, isOn);
-    if (!isOn) this.show(false);
   }
 }
 
