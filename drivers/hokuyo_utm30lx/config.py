@@ -5,20 +5,18 @@ from typing import Any, Literal, Self
 from pydantic import Field, model_validator
 
 from drivers.hokuyo_utm30lx.models import MODELS, Model, ModelName
-from drivers.latency import LatencyMs
-from drivers.mounting import Mounting
-from drivers.section import Section, with_defaults_of_model
+from drivers.section import with_defaults_of_model
+from drivers.sensor_section import LaserSection
 from drivers.wires import DeviceFile, Host
 
 
-class HokuyoUtm30lxConfig(Section):
+class HokuyoUtm30lxConfig(LaserSection):
     """Settings of the device and its port: `device` for USB, `host` for Ethernet, never both.
 
     The defaults that depend on the model are shown for a UTM-30LX; see Model.defaults.
     """
 
     type: Literal["hokuyo_utm30lx"] = "hokuyo_utm30lx"
-    name: str = Field(min_length=1)
     model: ModelName = "utm_30lx"  # UTM-30LX and UTM-30LX-EW
     device: DeviceFile | None = Field(default=None, min_length=1)  # UTM-30LX: path, or a pyserial URL
     host: Host | None = Field(default=None, min_length=1)  # UTM-30LX-EW; 192.168.0.10 from the factory
@@ -34,10 +32,6 @@ class HokuyoUtm30lxConfig(Section):
     stamp_moment: Literal["first_step", "rear"] = "first_step"  # what the device stamps; see its page in docs
     range_min_m: float = Field(default=0.1, ge=0.0, le=5.0)
     range_max_m: float = Field(default=30.0, gt=0.0, le=262.0)
-    latency_ms: LatencyMs = 0.0  # from calibration
-    silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a scan the link is made again
-    map: bool = True  # False: its scans are published and recorded, not mapped
-    mounting: Mounting = Mounting()
 
     @model_validator(mode="before")
     @classmethod
@@ -64,10 +58,6 @@ class HokuyoUtm30lxConfig(Section):
             raise ValueError(
                 f"{self.name}: first_angle_deg {self.first_angle_deg} must lie below "
                 f"last_angle_deg {self.last_angle_deg}"
-            )
-        if self.range_min_m >= self.range_max_m:
-            raise ValueError(
-                f"{self.name}: range_min_m {self.range_min_m} must be below range_max_m {self.range_max_m}"
             )
         return self
 

@@ -5,19 +5,16 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from drivers.ibeo_lux.messages import TICKS_PER_DEG
-from drivers.latency import LatencyMs
-from drivers.mounting import Mounting
-from drivers.section import Section
+from drivers.sensor_section import LaserSection
 from drivers.wires import Host
 
 Label = Literal["dirt", "rain", "ground", "transparent"]
 
 
-class IbeoLuxConfig(Section):
+class IbeoLuxConfig(LaserSection):
     """Settings of the device and of the reduction to one scan. The device's flash is never written."""
 
     type: Literal["ibeo_lux"] = "ibeo_lux"
-    name: str = Field(min_length=1)
     host: Host = Field(min_length=1)
     port: int = Field(default=12_002, ge=1, le=65_535)
     scan_rate_hz: float = 25.0
@@ -41,10 +38,6 @@ class IbeoLuxConfig(Section):
     intensity: bool = False  # echo pulse widths, cm
     range_min_m: float = Field(default=0.3, ge=0.0, le=5.0)
     range_max_m: float = Field(default=200.0, gt=0.0, le=300.0)
-    latency_ms: LatencyMs = 0.0  # from calibration
-    silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a scan the link is made again
-    map: bool = True  # False: its scans are published and recorded, not mapped
-    mounting: Mounting = Mounting()
 
     @property
     def first_ticks(self) -> int:
@@ -70,8 +63,4 @@ class IbeoLuxConfig(Section):
             )
         if len(set(self.layers)) != len(self.layers):
             raise ValueError(f"{self.name}: layers names one twice: {list(self.layers)}")
-        if self.range_min_m >= self.range_max_m:
-            raise ValueError(
-                f"{self.name}: range_min_m {self.range_min_m} must be below range_max_m {self.range_max_m}"
-            )
         return self

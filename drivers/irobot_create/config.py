@@ -5,8 +5,7 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from drivers.latency import LatencyMs
-from drivers.section import Section
+from drivers.sensor_section import SensorSection
 from drivers.wires import DeviceFile
 
 
@@ -32,7 +31,7 @@ RETRY_START_NS = 1_000_000_000
 GIVE_UP_NS = 8_000_000_000  # longer than any banner, so that a robot that was reset is waited for
 
 
-class IrobotCreateConfig(Section):
+class IrobotCreateConfig(SensorSection):
     """One robot on one serial port.
 
     There is no mounting: the middle of the wheel axle *is* the base frame's origin, and the other sensors'
@@ -40,7 +39,6 @@ class IrobotCreateConfig(Section):
     """
 
     type: Literal["irobot_create"] = "irobot_create"
-    name: str = Field(min_length=1)
     device: DeviceFile = Field(min_length=1)  # a path, or a pyserial URL such as socket://192.168.0.7:4000
     model: Literal["create1", "create2", "roomba"] = "create2"  # roomba: series 500 to 800
     baud: int = 0  # filled in by the model where not given
@@ -51,7 +49,6 @@ class IrobotCreateConfig(Section):
     left_scale: float = Field(default=1.0, ge=0.5, le=2.0)
     right_scale: float = Field(default=1.0, ge=0.5, le=2.0)
     travel_variance_m2_per_m: float = Field(default=1e-4, gt=0.0, le=1.0)  # of each wheel, per metre rolled
-    latency_ms: LatencyMs = 0.0  # from calibration
     poll_interval_ms: int = Field(default=100, ge=50, le=500)  # create1 alone
     wake_line: bool = True  # pulse RTS and DTR, which many cables wire to the robot's BRC
 

@@ -4,21 +4,19 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from drivers.latency import LatencyMs
-from drivers.mounting import Mounting
-from drivers.section import Section, with_defaults_of_model
+from drivers.section import with_defaults_of_model
+from drivers.sensor_section import LaserSection
 from drivers.sick_lms100.models import MODELS, Model, ModelName
 from drivers.wires import Host
 
 
-class Lms100Config(Section):
+class Lms100Config(LaserSection):
     """Settings of the device. The driver writes what differs, but not to its flash.
 
     The defaults that depend on the model are shown for an LMS1xx; see Model.defaults.
     """
 
     type: Literal["sick_lms100"] = "sick_lms100"
-    name: str = Field(min_length=1)
     model: ModelName = "lms1xx"
     host: Host = Field(min_length=1)
     port: int = Field(default=2111, ge=1, le=65535)  # or 2112
@@ -32,10 +30,6 @@ class Lms100Config(Section):
     intensity_bits: Literal[0, 8, 16] = 0  # 0: no intensity
     range_min_m: float = Field(default=0.05, ge=0.0, le=5.0)
     range_max_m: float = Field(default=20.0, gt=0.0, le=131.0)
-    latency_ms: LatencyMs = 0.0  # from calibration
-    silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a scan the link is made again
-    map: bool = True  # False: its scans are published and recorded, not mapped
-    mounting: Mounting = Mounting()
 
     @model_validator(mode="before")
     @classmethod
@@ -71,10 +65,6 @@ class Lms100Config(Section):
             raise ValueError(
                 f"{self.name}: first_angle_deg {self.first_angle_deg} must lie below "
                 f"last_angle_deg {self.last_angle_deg} by a step or more"
-            )
-        if self.range_min_m >= self.range_max_m:
-            raise ValueError(
-                f"{self.name}: range_min_m {self.range_min_m} must be below range_max_m {self.range_max_m}"
             )
         return self
 

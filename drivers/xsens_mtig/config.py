@@ -5,9 +5,8 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
-from drivers.section import Section
+from drivers.sensor_section import SensorSection
 from drivers.wires import DeviceFile
 from drivers.xsens_mtig.orientation import apply, axes_of
 from drivers.xsens_mtig.protocol import CODE_OF_BAUD
@@ -24,11 +23,10 @@ USB = "usb"
 AUTO: Literal["auto"] = "auto"
 
 
-class XsensMtigConfig(Section):
+class XsensMtigConfig(SensorSection):
     """Settings of the device. What differs is written to it and stored there."""
 
     type: Literal["xsens_mtig"] = "xsens_mtig"
-    name: str = Field(min_length=1)
     device: DeviceFile = Field(min_length=1)  # a path, a pyserial URL, "usb", or "usb:<serial number>"
     baud: int | Literal["auto"] = AUTO
     store_baud: int | None = None  # put this rate into the device where it has another rate
@@ -41,7 +39,6 @@ class XsensMtigConfig(Section):
     lever_arm_m: tuple[float, float, float] | None = None  # device axes, to the GNSS antenna; None: as it is
     forward_axis: Axis = "x"  # which axis of the housing looks ahead, and which up
     up_axis: Axis = "z"
-    latency_ms: LatencyMs = 0.0  # from calibration
     silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a sample the link is made again
     mounting: Mounting = Mounting()
 

@@ -4,10 +4,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from drivers.latency import LatencyMs
 from drivers.mounting import Mounting
 from drivers.rmw_zenoh import absolute_name
-from drivers.section import Section
+from drivers.sensor_section import SensorSection
 from service.publishing.config import PlainEndpoint
 
 
@@ -17,14 +16,12 @@ def _check_topic(topic: str) -> str:
     return name
 
 
-class Ros2SensorConfig(Section):
+class Ros2SensorConfig(SensorSection):
     """A topic, and the router by which its publisher is reached."""
 
-    name: str = Field(min_length=1)
     topic: Annotated[str, AfterValidator(_check_topic)]
     router: PlainEndpoint = "tcp/127.0.0.1:7447"  # this service, or rmw_zenohd
     domain: int = Field(default=0, ge=0, le=232)  # ROS_DOMAIN_ID of the node
-    latency_ms: LatencyMs = 0.0  # shortest delay from measurement to arrival, from calibration
     silence_timeout_s: float = Field(default=2.0, ge=0.5, le=60.0)  # without a message: subscribe again
 
 

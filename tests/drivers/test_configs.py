@@ -9,8 +9,8 @@ from pydantic import ValidationError
 
 from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
 from drivers.irobot_create.config import IrobotCreateConfig
-from drivers.latency import MAX_LATENCY_MS, MIN_LATENCY_MS
 from drivers.registry import SENSOR_KINDS
+from drivers.sensor_section import MAX_LATENCY_MS, MIN_LATENCY_MS
 from drivers.sick_lms100.config import Lms100Config
 from drivers.xsens_mtig.config import XsensMtigConfig
 from service.mapper.pipeline import MAX_BEHIND_NS

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from drivers.frames import ImuSample, LaserScan, OdometrySample
-from drivers.latency import MAX_LATENCY_MS, MIN_LATENCY_MS
+from drivers.sensor_section import MAX_LATENCY_MS, MIN_LATENCY_MS
 from service.config import ServiceConfig, load_config, parse_config
 from service.errors import ConfigError, InputError, UsageError
 from service.geometry.poses import Floats
