@@ -86,7 +86,7 @@ def _edit(parsed: argparse.Namespace) -> dict[str, Any]:
         ),
         "wall": lambda: map_edit.wall(parsed.wall),
         "cut": lambda: map_edit.cut(parsed.cut, parsed.bridge),
-        "add_pair": lambda: map_edit.add_pair(parsed.add_pair, parsed.keyframes),
+        "add_pair": lambda: map_edit.add_pairs([(parsed.add_pair, parsed.keyframes)]),
         "remove_pair": lambda: map_edit.remove_pair(parsed.remove_pair),
         "refuse_loop": lambda: map_edit.refuse_loops(parsed.refuse_loop),
         "optimize": map_edit.optimize,

@@ -176,36 +176,25 @@ def cut(from_to: Sequence[str], is_bridged: bool) -> Change:
     return change
 
 
-def add_pairs(pairs: Sequence[tuple[Sequence[float], Sequence[int]]]) -> Change:
-    """Several times two points of the map, X1 Y1 X2 Y2, are one place, and two key frames saw them; solved
-    once.
+def add_pairs(pairs: Sequence[tuple[Sequence[float], Sequence[int] | None]]) -> Change:
+    """Several times two points of the map, X1 Y1 X2 Y2, are one place, and two key frames saw them; None:
+    those that have them nearest. Solved once.
     """
     spots = [(points_of(points, least=2), keyframes) for points, keyframes in pairs]
 
     def change(stored: StoredMap) -> Changed:
-        before = graph = _graph_of(stored)
+        graph = _graph_of(stored)
+        first = len(graph.by_hand.pair_ends)
         for points, keyframes in spots:
             graph = with_pair(graph, points, keyframes)
-        first = len(before.by_hand.pair_ends)
+        added = [
+            {"pair": first + k, "keyframes": ends}
+            for k, ends in enumerate(graph.by_hand.pair_ends[first:].tolist())
+        ]
         named = f"pair {first}" if len(spots) == 1 else f"pairs {first} to {first + len(spots) - 1}"
         about = ", ".join(at_words(points.mean(axis=0)) for points, _ in spots[:MAX_NAMED])
         words = f"{named} about {about}{' ...' * (len(spots) > MAX_NAMED)}"
-        return _solved(stored, graph, words, {"pairs": len(spots)})
-
-    return change
-
-
-def add_pair(points: Sequence[float], keyframes: Sequence[int] | None) -> Change:
-    """Two points of the map are one place."""
-    spots = points_of(points, least=2)
-
-    def change(stored: StoredMap) -> Changed:
-        paired = with_pair(_graph_of(stored), spots, keyframes)
-        number = len(paired.by_hand.pair_ends) - 1
-        first, second = paired.by_hand.pair_ends[number].tolist()
-        where = f"{at_words(spots[0])} and {at_words(spots[1])}"
-        words = f"pair {number}: {where} are one (key frames {first}, {second})"
-        return _solved(stored, paired, words, {"pair": number, "keyframes": [first, second]})
+        return _solved(stored, graph, words, {"added": added})
 
     return change
 

@@ -63,7 +63,8 @@ def test_pairs_of_points_straighten_the_map(folder, bent):
     ]
     facts = asking.edit(1, "add-pair", pairs=pairs)
     assert facts["ok"], facts
-    assert facts["pairs"] == 6
+    assert [added["pair"] for added in facts["added"]] == list(range(6))
+    assert [added["keyframes"] for added in facts["added"]] == [pair["keyframes"] for pair in pairs]
     assert facts["done"].startswith("pairs 0 to 5 about (")
     assert bent.error_m(graph_in(folder)) < 0.10
     assert asking.shown == [2]
