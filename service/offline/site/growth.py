@@ -44,6 +44,8 @@ from service.offline.site.tasks import Find, FindLoops, keep_graph
 
 VIEWS = 6  # directions; of each spot and direction one key frame is used
 SHOWN_SPOT_M, SEARCHED_SPOT_M = 0.5, 1.0  # in the shown map, and where a session is searched
+# Up to FEW sessions are searched at once; of more as many as the site has, and FIRST_SEARCHED at least.
+FEW, FIRST_SEARCHED = 16, 4
 MAX_PARTNERS, TIMES_COVERED = 4, 1  # sessions that one is tied to, at most; of each of its places
 # By fixes alone a session is known well enough to look for loops: EXPECTED_WINDOW of the search at 3 sigma.
 MAX_GEO_SIGMA_M, MAX_GEO_SIGMA_RAD = 0.5, 0.06
@@ -159,27 +161,41 @@ def grow(
     joined: Collection[str] = (),
 ) -> None:
     """Add the sessions that fit, in rounds, for one may fit to another one only; `left_out` names the others.
+    In a small part of the site most of many sessions would be searched without a result, which takes ten
+    times as long as a search with one: of more than FEW a round searches as many as the site has.
 
     folder   for what tasks read; it is there, and on a cluster on a shared disk
     known    members that sessions were searched in before, by name: the first so many
     joined   names of those that are of this place, whatever the others give
     """
     waiting, looked = list(sessions), dict(known or {})
-    while any(looked.get(one.name, 0) < len(site.members) for one in waiting):
+    refused: dict[str, int] = {}  # by name: members that it was searched in
+    while True:
+        members = len(site.members)
+        left = [one for one in waiting if one.name not in refused and looked.get(one.name, 0) < members]
+        if len(left) > FEW:
+            left = left[: max(FIRST_SEARCHED, members)]
+        if not left:  # what refused them may be that a small part of the site has a place like theirs
+            left = [one for one in waiting if refused.get(one.name, members) < members]
+            looked |= dict.fromkeys((one.name for one in left), 0)
+        if not left:
+            break
+        for one in left:
+            site.elsewhere.pop(one.name, None)
         with TemporaryDirectory(prefix=".corridor-", dir=folder, ignore_cleanup_errors=True) as kept:
             before_ending(partial(shutil.rmtree, kept, ignore_errors=True))
-            round_ = _Round(site, waiting, engine, Path(kept), progress, joined)
-            found = round_.find(looked)
-            looked = dict.fromkeys((one.name for one in waiting), len(site.members))
-            added = round_.add(found)
-        waiting = [one for one in waiting if one.name not in {*added, *site.elsewhere}]
+            round_ = _Round(site, left, engine, Path(kept), progress, joined)
+            added = round_.add(round_.find(looked))
+        looked |= dict.fromkeys((one.name for one in left), members)
+        refused |= {one.name: members for one in left if one.name in {*refused, *site.elsewhere}}
+        waiting = [one for one in waiting if one.name not in added]
     names = {one.name for one in site.members}
     site.left_out = {one.name: site.left_out[one.name] for one in sessions if one.name not in names}
 
 
 @dataclass(slots=True, eq=False)
 class _Round:
-    """One round: open sessions are searched in the new members, and tied to all."""
+    """One round: sessions are searched in the members that are new to them, and tied to all."""
 
     site: Site
     waiting: Sequence[Session]

@@ -5,7 +5,7 @@ import math
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import chain, pairwise, repeat
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from service.offline.maps.log import utc
 from service.offline.maps.work import map_info
 from service.offline.replay.setup import ReplayOptions
 from service.offline.score.trajectory import read_tum
+from service.offline.site import growth
 from service.offline.site.build import site_build
 from service.offline.site.manifest import SITE_FILE
 from service.offline.site.tasks import Find, FindLoops
@@ -145,6 +146,26 @@ def test_the_order_in_which_tasks_end_does_not_change_a_byte(two, drives, tmp_pa
     again = tmp_path / "map"
     build([drives / name for name in ("a", "b")], again, Counting())
     assert files_in(again) == files_in(two)
+
+
+def test_of_many_drives_as_many_are_searched_at_once_as_the_site_has(drives, tmp_path, monkeypatch):
+    for name in ("FEW", "FIRST_SEARCHED"):
+        monkeypatch.setattr(growth, name, 1)
+    engine = Counting()
+    report = build([drives / name for name in ("a", "elsewhere", "b", "c")], tmp_path / "map", engine)
+    second, third = ("session 1 of the site", "session 2 of the site")
+    names = [task.name for task in engine.done]
+    assert names == ["elsewhere", "b", second, "elsewhere", "c", third, "elsewhere"]
+    assert (names_in(report), list(report["left_out"])) == (["a", "b", "c"], ["elsewhere"])
+    assert math.sqrt((errors_m(tmp_path / "map", names_in(report)) ** 2).mean()) < 0.02
+
+
+def test_a_drive_that_a_part_of_the_site_refuses_is_searched_in_all_of_it(drives, tmp_path, monkeypatch):
+    """As one that was found at a place which looks like another one."""
+    log_odds = chain([-1.0, growth.MIN_LOG_ODDS], repeat(-1.0))  # of a, of b, and of all from then on
+    monkeypatch.setattr(growth, "log_odds_elsewhere", lambda **_: next(log_odds))
+    report = build([drives / name for name in ("a", "b", "c")], tmp_path / "map")
+    assert (names_in(report), report["left_out"]) == (["a", "c", "b"], {})
 
 
 def files_in(folder: Path) -> dict[str, bytes]:
