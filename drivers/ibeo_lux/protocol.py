@@ -93,10 +93,6 @@ class Decoder:
         self.bad_headers = 0  # magic word, but no plausible type or size behind it
         self.cut_messages = 0  # given up because the next header came before their end
 
-    @property
-    def buffered_bytes(self) -> int:
-        return len(self._buffer)
-
     def receive_data(self, data: bytes) -> list[Message]:
         """Raises ProtocolError where nothing looks like a message for MAX_GARBAGE_BYTES."""
         self._buffer += data

@@ -401,7 +401,6 @@ class CommandDecoder:
     def __init__(self, demo_takes_data: bool = False) -> None:
         self._demo_takes_data = demo_takes_data  # 136 on a Create 1
         self._buffer = bytearray()
-        self.bytes_ignored = 0
 
     def receive_data(self, data: bytes) -> list[Command]:
         self._buffer += data
@@ -409,7 +408,6 @@ class CommandDecoder:
         while self._buffer:
             if self._buffer[0] not in _DATA_BYTES:
                 del self._buffer[0]
-                self.bytes_ignored += 1
                 continue
             opcode = Opcode(self._buffer[0])
             needed = self._needed(opcode)

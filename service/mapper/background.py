@@ -76,22 +76,6 @@ class InlineWorker:
     def close(self) -> None: ...
 
 
-class DiscardingWorker:
-    """For a mapper that warms up: batches are discarded and no result becomes ready."""
-
-    ready = False
-
-    def __init__(self, back_end: BackEnd) -> None: ...
-
-    def submit(self, batch: Any) -> "DiscardingWorker":
-        return self
-
-    def result(self) -> Any:
-        raise WorkLostError("this worker discards its jobs")
-
-    def close(self) -> None: ...
-
-
 class BackgroundJobs:
     """Jobs of a graph that are not applied yet, oldest first; implements Graph.waiting and Graph.ready.
 

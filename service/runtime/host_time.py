@@ -6,7 +6,6 @@ reported, not applied.
 """
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 READINGS = 5
@@ -20,17 +19,13 @@ class HostTime:
     offset_ns: int
 
     @classmethod
-    def now(
-        cls,
-        monotonic_ns: Callable[[], int] = time.monotonic_ns,
-        unix_ns: Callable[[], int] = time.time_ns,
-    ) -> "HostTime":
+    def now(cls) -> "HostTime":
         """Read both clocks; of several readings the one that took least time is used."""
         best: tuple[int, int] | None = None
         for _ in range(READINGS):
-            before = monotonic_ns()
-            unix = unix_ns()
-            after = monotonic_ns()
+            before = time.monotonic_ns()
+            unix = time.time_ns()
+            after = time.monotonic_ns()
             reading = (after - before, unix - (before + after) // 2)
             best = reading if best is None else min(best, reading)
         assert best is not None
@@ -38,9 +33,6 @@ class HostTime:
 
     def unix_ns(self, monotonic_ns: int) -> int:
         return monotonic_ns + self.offset_ns
-
-    def monotonic_ns(self, unix_ns: int) -> int:
-        return unix_ns - self.offset_ns
 
     def step_ns(self, now: "HostTime") -> int:
         """Step of the wall clock since this offset was fixed; 0 if there was none."""

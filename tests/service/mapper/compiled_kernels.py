@@ -18,11 +18,12 @@ import service.kernels
 from service.compile.cache import ensure_cache_dir
 from service.compile.warm_up import warm_up
 from service.geometry.se2 import SE2
-from service.mapper.background import DiscardingWorker, InlineWorker, NewWorker
+from service.mapper.background import InlineWorker, NewWorker
 from service.mapper.components import RenderedMap, ScanToRender, WallToRender
 from service.mapper.map_changes import ChangeWatch
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.profiles import MappingConfig, build_mapper, import_methods, mapping_config
+from tests.service.mapper.discarding_worker import DiscardingWorker
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, round_the_room
 from tests.service.mapper.maps.points import points_of
 

@@ -4,12 +4,12 @@ from collections.abc import Callable
 
 import pytest
 
-from service.mapper.background import DiscardingWorker
 from service.mapper.components import Graph, GraphRequestError
 from service.mapper.graph.loops.loop_closing import LoopClosing
 from service.mapper.graph.model.keyframe_list import LoopsConfig
 from service.mapper.papers.submap_graph.graph.landmark_back_end import LandmarkGraphConfig
 from service.mapper.papers.submap_graph.graph.landmark_graph import LandmarkGraph
+from tests.service.mapper.discarding_worker import DiscardingWorker
 
 
 def loop_closing() -> Graph:
