@@ -47,11 +47,6 @@ class XsensMtigSession(WatchedSession):
         self.status = self._dialogue.phase
         self._health = DeviceHealth(self.counters)
 
-    @property
-    def utc_minus_host_ns(self) -> int | None:
-        """Unix time minus the host's monotonic clock, by the GNSS receiver; None: it does not know."""
-        return None if self._stream is None else self._stream.utc_minus_host_ns
-
     def receive_data(self, data: bytes, arrived_ns: int) -> list[Frame]:
         since_ns = arrived_ns if self._heard_ns is None else arrived_ns - self._heard_ns
         self._backdated = len(data) * self._byte_ns <= since_ns

@@ -70,16 +70,6 @@ _READ = frozenset(
 )
 
 
-def utc_ns(utc: Utc | GnssPvt) -> int:
-    """Unix time. Raises ProtocolError for a date that cannot be."""
-    try:
-        moment = datetime(utc.year, utc.month, utc.day, utc.hour, utc.minute, min(utc.second, 59), tzinfo=UTC)
-    except ValueError as error:
-        raise ProtocolError(f"{tuple(utc)[:8]} is no date and time") from error
-    leap_s = utc.second - min(utc.second, 59)
-    return (round(moment.timestamp()) + leap_s) * 1_000_000_000 + utc.nanosecond
-
-
 class _Stream:
     """Base of both protocols."""
 
@@ -97,7 +87,6 @@ class _Stream:
         self._latency_ns = round(config.latency_ms * 1e6)
         self._sample_gate = StampGate(counters, "samples", silence)
         self._fix_gate = StampGate(counters, "fixes")
-        self.utc_minus_host_ns: int | None = None  # None: UTC is not known (yet)
         self.by_arrival = False  # the newest sample had no time
         self._sample_period_ns = 1e9 / config.rate_hz
         self._mixed = ""  # rates of acceleration and rate of turn, where they differ
@@ -125,10 +114,13 @@ class _Stream:
 
     def _utc_ticks(self, utc: Utc, known: bool) -> int | None:
         """UTC in ticks of the sample time, valid or not where it runs; None where it stands or is no date."""
+        second = min(utc.second, 59)  # 60 in a leap second
         try:
-            ticks = utc_ns(utc) // FINE_TICK_NS
-        except ProtocolError:
+            moment = datetime(utc.year, utc.month, utc.day, utc.hour, utc.minute, second, tzinfo=UTC)
+        except ValueError:
             return None
+        unix_s = round(moment.timestamp()) + utc.second - second
+        ticks = (unix_s * 1_000_000_000 + utc.nanosecond) // FINE_TICK_NS
         self._utc_stands = not known and (self._utc_stands or ticks == self._last_utc_ticks)
         self._last_utc_ticks = ticks
         return None if self._utc_stands else ticks
@@ -273,10 +265,7 @@ class Mtdata2Stream(_Stream):
             frames += self._inertial(found, stamp_ns, arrived_ns)
         if (pvt := _read(found, Kind.GNSS_PVT, GnssPvt)) is not None:
             frames += self._gnss(pvt, stamp_ns, arrived_ns)
-        elif (utc := _read(found, Kind.UTC, Utc)) is not None:
-            if utc.valid & UTC_ALL_VALID == UTC_ALL_VALID:
-                self.utc_minus_host_ns = utc_ns(utc) - stamp_ns
-        elif Kind.RATE not in found and Kind.ACCELERATION not in found:
+        elif not found.keys() & {Kind.UTC, Kind.RATE, Kind.ACCELERATION}:
             self._counters["messages_without_samples"] += 1
         return frames
 
@@ -333,8 +322,6 @@ class Mtdata2Stream(_Stream):
         self._count_solution(pvt.itow_ms)
         good = bool(pvt.flags & 1)
         self._health.observe_gnss(pvt.fix, good, pvt.satellites)
-        if pvt.valid & UTC_ALL_VALID == UTC_ALL_VALID:
-            self.utc_minus_host_ns = utc_ns(pvt) - stamp_ns
         usable = pvt.fix in USABLE_FIXES and good and pvt.horizontal_accuracy_mm != NO_ACCURACY
         status = (1 if pvt.flags & 2 else 0) if usable else -1
         place = (pvt.lat_1e7deg * 1e-7, pvt.lon_1e7deg * 1e-7, pvt.height_mm * 1e-3)
@@ -413,8 +400,6 @@ class LegacyStream(_Stream):
         self._counters["samples_received"] += 1
         if sample.status is not None:
             self._health.observe_status(sample.status)
-        if sample.utc is not None and sample.utc.valid == LEGACY_UTC_VALID:
-            self.utc_minus_host_ns = utc_ns(sample.utc) - stamp_ns
         frames: list[Frame] = []
         if sample.rate_radps is not None and sample.acceleration_mps2 is not None:
             frames += self._sample(

@@ -74,7 +74,6 @@ def test_without_satellites_there_are_fixes_that_say_so(make):
         assert all(map(math.isnan, (fix.latitude_deg, fix.longitude_deg, fix.altitude_m)))
         assert not any(fix.covariance)
     assert "no GNSS fix" in t.session.status
-    assert t.session.utc_minus_host_ns is None
 
 
 def test_receivers_without_a_good_fix_give_no_place():
@@ -86,13 +85,6 @@ def test_receivers_without_a_good_fix_give_no_place():
     assert place_of(t, GOOD_PVT._replace(horizontal_accuracy_mm=0xFFFF_FFFF)).status == -1
     assert place_of(t, GOOD_PVT._replace(flags=3)).status == 1
     assert place_of(t, GOOD_PVT._replace(fix=2)).status == 0
-
-
-def test_utc_is_known_where_the_receiver_is_sure():
-    t = talk(mtdata2()).run(3.0)
-    known = t.session.utc_minus_host_ns
-    truth = MtigSetup().utc_at_start_ns
-    assert known == pytest.approx(truth, abs=3_000_000)  # our stamps lie late by the device's latency
 
 
 def test_fixes_are_stamped_with_the_receivers_moment_not_the_messages():
