@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -25,19 +26,26 @@ LAP = [
 def mall(limits: Limits = WALKING) -> World:
     """12 000 m2; one lap is 1.2 km."""
     rng = np.random.default_rng(SEED)
-    plan = Plan()
-    corners = [(0.0, 0.0), (120.0, 0.0), (120.0, 100.0), (0.0, 100.0)]
-    for k in range(4):
-        doors = np.arange(4.0, 94.0, 9.0) + rng.uniform(0.0, 4.0, 10)
-        plan.sunk_doors(corners[k], corners[(k + 1) % 4], doors.tolist(), depth=-0.4, width=1.8)
-    for left, right in itertools.pairwise(AISLES_X):
-        for low, high in itertools.pairwise(AISLES_Y):
-            sides = (left + HALF_WIDTH_M, low + HALF_WIDTH_M, right - HALF_WIDTH_M, high - HALF_WIDTH_M)
-            _draw_block(plan, rng, *sides)
-    _furnish_aisles(plan, rng)
+    plan = mall_plan(rng)
     legs: list[Leg] = [Follow(LAP, corner_radius_m=1.5), Spin(math.pi), Pause(1.0)]
     drive = plan_drive(SE2(10.0, 5.0, 0.0), legs, limits, repeats=True)
     return make_world("mall", plan, _people(rng, drive.duration_s), drive)
+
+
+def mall_plan(rng: np.random.Generator, aisles_x: Sequence[float] = AISLES_X) -> Plan:
+    """Without people. aisles_x: middles of the aisles along y, rising, m; the first is AISLES_X[0]."""
+    plan = Plan()
+    width_m = aisles_x[0] + aisles_x[-1]
+    corners = [(0.0, 0.0), (width_m, 0.0), (width_m, 100.0), (0.0, 100.0)]
+    for k in range(4):
+        doors = np.arange(4.0, 94.0, 9.0) + rng.uniform(0.0, 4.0, 10)
+        plan.sunk_doors(corners[k], corners[(k + 1) % 4], doors.tolist(), depth=-0.4, width=1.8)
+    for left, right in itertools.pairwise(aisles_x):
+        for low, high in itertools.pairwise(AISLES_Y):
+            sides = (left + HALF_WIDTH_M, low + HALF_WIDTH_M, right - HALF_WIDTH_M, high - HALF_WIDTH_M)
+            _draw_block(plan, rng, *sides)
+    _furnish_aisles(plan, rng, aisles_x)
+    return plan
 
 
 def _draw_block(
@@ -71,17 +79,17 @@ def _furnish_shop(
         plan.box(centre, size, float(rng.choice([0.0, 90.0, rng.uniform(0.0, 180.0)])), rng.uniform(0.2, 0.6))
 
 
-def _furnish_aisles(plan: Plan, rng: np.random.Generator) -> None:
+def _furnish_aisles(plan: Plan, rng: np.random.Generator, aisles_x: Sequence[float]) -> None:
     """Columns in the corners of each crossing; benches and plants at the sides, off the lane."""
-    for x, y in itertools.product(AISLES_X, AISLES_Y):
+    for x, y in itertools.product(aisles_x, AISLES_Y):
         for u, v in itertools.product((-1, 1), (-1, 1)):
             plan.post((x + 2.4 * u, y + 2.4 * v), 0.25, 0.7)
     for y in AISLES_Y:
-        for left, right in itertools.pairwise(AISLES_X):
+        for left, right in itertools.pairwise(aisles_x):
             for x in np.arange(left + 6.0, right - 5.0, 7.0):
                 side = rng.choice([-2.3, 2.3])
                 plan.box((x + rng.uniform(-1.0, 1.0), y + side), (1.6, 0.5), 0.0, 0.4)
-    for x in AISLES_X:
+    for x in aisles_x:
         for low, high in itertools.pairwise(AISLES_Y):
             for y in np.arange(low + 7.0, high - 6.0, 8.0):
                 plan.post((x + rng.choice([-2.3, 2.3]), y + rng.uniform(-1.0, 1.0)), 0.35, 0.3)

@@ -26,6 +26,7 @@ def main() -> int:
         "cluster": cluster.measure,
         "fleet": fleet.measure,
         "site": site.measure,
+        "site-parts": site.measure_parts,
         "site-sizes": site.measure_sizes,
         "start-up": start_up.measure,
         "secured": secured.measure,

@@ -40,11 +40,11 @@ LAP = [
 LASER = replace(LMS100_50HZ, rate_hz=25.0)
 
 
-def record_drive(seed: int, folder: Path, seconds: float = SECONDS) -> tuple[Path, Path]:
+def record_drive(seed: int, folder: Path) -> tuple[Path, Path]:
     """site_SEED.mcap, and beside it the true poses in the frame of the world as a TUM file."""
     world = floor() if seed in ELSEWHERE else site()
     world = begun_beside(backwards(world) if seed % 2 == 0 else world, *phase_m(seed))
-    made = drive(world, LASER, seconds, seed, Wheels(), stand_s=-(seed - SEEDS[0]) * APART_S)
+    made = drive(world, LASER, SECONDS, seed, Wheels(), stand_s=-(seed - SEEDS[0]) * APART_S)
     begin_ns = T0_NS + seed * HOUR_NS
     session = record(made.frames, {"front": FORWARD}, folder / "in" / str(seed), begin_ns)
     session = session.rename(folder / f"site_{seed}.mcap")

@@ -1,0 +1,68 @@
+"""Drives of 500 m, each by a route of its own, through the aisles of a mall of 20 000 m2."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from service.geometry.se2 import SE2
+from service.offline.score.trajectory import write_tum
+from simulators.trajectory import Follow, Limits, Trajectory, plan_drive
+from simulators.truth import noise_of
+from simulators.world import Point, World, make_world
+from simulators.worlds.mall import AISLES_X, AISLES_Y, SEED, mall_plan
+from tests.recorded_drive import record
+from tests.service.recording.sessions import T0_NS
+from tests.simulated import FORWARD, LMS100_50HZ, Wheels, begun_beside, drive, phase_m
+
+DRIVE_M, HOUR_NS = 500.0, 3600 * 10**9
+LANES_X = (*AISLES_X, 143.0, 170.0, 195.0)  # 200 m by 100 m
+LIMITS = Limits(speed_mps=2.0, lateral_mps2=0.8)
+LASER = replace(LMS100_50HZ, beams=271, rate_hz=25.0, step_deg=1.0, every=8)  # 3.1 scans a second
+WAYS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+
+def record_drive(seed: int, folder: Path) -> tuple[Path, Path, float]:
+    """site_SEED.mcap, beside it the true poses in the frame of the site as a TUM file, and its length, m."""
+    planned = random_drive(seed)
+    world = begun_beside(site_of(planned), *phase_m(seed))
+    made = drive(world, LASER, planned.duration_s, seed, Wheels())
+    begin_ns = T0_NS + seed * HOUR_NS
+    session = record(made.frames, {"front": FORWARD}, folder / "in" / str(seed), begin_ns)
+    session = session.rename(folder / f"site_{seed}.mcap")
+    truth = folder / f"site_{seed}.tum"
+    start = planned.start
+    begin = SE2(start.x_m, start.y_m, start.theta_rad) @ made.world_first
+    write_tum(truth, ((stamp_ns + begin_ns, begin @ pose) for stamp_ns, pose in sorted(made.truth.items())))
+    return session, truth, planned.length_m
+
+
+def site_of(planned: Trajectory) -> World:
+    return make_world("site", mall_plan(np.random.default_rng(SEED), LANES_X), (), planned)
+
+
+def random_drive(seed: int) -> Trajectory:
+    """From a crossing of aisles to the next ones, straight on or round a corner, DRIVE_M or somewhat more."""
+    noise = noise_of(seed, "route", 0)
+    column, row = int(noise.integers(len(LANES_X))), int(noise.integers(len(AISLES_Y)))
+    points: list[Point] = [(LANES_X[column], AISLES_Y[row])]
+    way, length_m = None, 0.0
+    while length_m < DRIVE_M:
+        ways = [
+            (i, j)
+            for i, j in WAYS
+            if 0 <= column + i < len(LANES_X)
+            and 0 <= row + j < len(AISLES_Y)
+            and (way is None or (-i, -j) != way)
+        ]
+        i, j = ways[int(noise.integers(len(ways)))]
+        column, row = column + i, row + j
+        point = LANES_X[column], AISLES_Y[row]
+        length_m += abs(point[0] - points[-1][0]) + abs(point[1] - points[-1][1])
+        if way == (i, j):
+            points.pop()
+        points.append(point)
+        way = i, j
+    (x_m, y_m), (next_x_m, next_y_m) = points[:2]
+    start = SE2(x_m, y_m, float(np.arctan2(next_y_m - y_m, next_x_m - x_m)))
+    return plan_drive(start, [Follow(points[1:], corner_radius_m=1.5)], LIMITS)
