@@ -39,13 +39,11 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Result: values, their covariance, and the residuals."""
+    """Result: values and their covariance."""
 
     names: tuple[str, ...]
     values: Floats  # (P,)
     covariance: Floats  # (P, P)
-    steps: int
-    residual_sigma: Floats  # (D,) of a step, m or rad, for each component
 
     def __getitem__(self, name: str) -> float:
         return float(self.values[self.names.index(name)])
@@ -193,8 +191,7 @@ def _solve(unknowns: Sequence[Unknown], residuals: Callable[[Floats], Floats], w
         weigh = np.where(off > MAX_SIGMAS, off / MAX_SIGMAS, 1.0)
         if (np.abs(change) < DONE * np.sqrt(np.diag(covariance))).all():
             break
-    left = residuals(p)
-    return Fit(tuple(u.name for u in unknowns), p, covariance, len(way), left.std(axis=0))
+    return Fit(tuple(u.name for u in unknowns), p, covariance)
 
 
 def _whiten(jacobian: Floats, r: Floats, way: Floats, weigh: Floats) -> tuple[Floats, Floats]:

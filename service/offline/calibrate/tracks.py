@@ -75,7 +75,6 @@ class WheelTrack:
 class GyroTrack:
     """The turn that a gyro has added up."""
 
-    sensor: str
     stamp_ns: Stamps  # (N,), rising
     turn_rad: Floats  # (N,) about the vertical, trapezoids between samples
     latency_ms: Floats
@@ -134,7 +133,7 @@ def gyro_track(samples: Sequence[ImuSample]) -> GyroTrack | None:
     stamps = _stamps(rising)
     rate = np.array([sample.rate_radps[2] for sample in rising])
     turn = np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(stamps) * 1e-9)
-    return GyroTrack(rising[0].sensor, stamps, np.concatenate(([0.0], turn)), _latency_ms(rising))
+    return GyroTrack(stamps, np.concatenate(([0.0], turn)), _latency_ms(rising))
 
 
 Sample = OdometrySample | ImuSample

@@ -3,7 +3,7 @@
 import json
 import shutil
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
@@ -57,7 +57,6 @@ class Replay:
     tiles: list[TileUpdate]  # of the map at the end; after a reset, of the newest
     g2o: str  # its graph; "" where the profile has none
     summary: dict[str, Any]
-    notes: list[str] = field(default_factory=list)
     geo: GeoReference | None = None  # where its map lies on the earth; None: that is not known
     graph: SavedGraph | None = None  # with which a later session goes on; None: it cannot
     changes: MapChanges | None = None  # since the map was stored in which it was localised; None: it was not

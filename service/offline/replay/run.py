@@ -237,7 +237,6 @@ class ReplayRun:
             tiles=self._tiles,
             g2o=self._g2o,
             summary=self._summary(wall_s),
-            notes=self._session.notes,
             geo=self._geo,
             graph=None if is_localized else self._graph,
             changes=self._mapper.map_changes,

@@ -53,7 +53,6 @@ class FixPath:
 
     odom         (M, 3)      pose_odom_base of the key frame of each
     step         (M, 3, 3)   covariance of the path from the one before, in the axes of each; row 0: unused
-    path_length_m  (M,)      up to each
     antenna      (M, 2) m    at the moment of the fix, in the frame of the key frame
     enu          (M, 2) m    east and north of the fix
     covariance   (M, 2, 2)   m^2, east and north, by the receiver
@@ -62,7 +61,6 @@ class FixPath:
 
     odom: Floats
     step: Floats
-    path_length_m: Floats
     antenna: Floats
     enu: Floats
     covariance: Floats
@@ -266,11 +264,11 @@ class Anchoring:
         enu = self._enu(frame, among)
         path_length_m = keyframes.path_length_m[[self._fixes[k].keyframe for k in among]]
         is_near = np.hypot(*enu.T) <= path_length_m[-1] + FAR_M
-        among, enu, path_length_m = among[is_near], enu[is_near], path_length_m[is_near]
+        among, enu = among[is_near], enu[is_near]
         self.counts["fixes_contradicting"] = int((~is_near).sum())
         if len(among) < MIN_FIXES:
             return False
-        consensus = find_consensus(self._way(keyframes, covariance, among, enu, path_length_m))
+        consensus = find_consensus(self._way(keyframes, covariance, among, enu))
         accepted = int(consensus.is_accepted.sum())
         self.counts["fixes_contradicting"] += len(among) - accepted
         turned = se2.adjoint(consensus.pose_odom_enu)
@@ -368,12 +366,7 @@ class Anchoring:
         return keyframe, se2.points_from(se2.between(keyframes.odom[keyframe], base), antenna)
 
     def _way(
-        self,
-        keyframes: KeyframeList,
-        covariance: Floats,
-        which: npt.NDArray[np.int64],
-        enu: Floats,
-        path_length_m: Floats,
+        self, keyframes: KeyframeList, covariance: Floats, which: npt.NDArray[np.int64], enu: Floats
     ) -> FixPath:
         keyframe, antenna = self._points(keyframes, which)
         odom = keyframes.odom[keyframe]
@@ -384,7 +377,7 @@ class Anchoring:
         np.add.at(step, last[inside], moved @ covariance[inside] @ moved.transpose(0, 2, 1))
         step += np.diag([FLOOR_M**2, FLOOR_M**2, 1e-6])
         covariances, repeats = self._covariances(which), self._repeats(which)
-        return FixPath(odom, step, path_length_m, antenna, enu, covariances, repeats)
+        return FixPath(odom, step, antenna, enu, covariances, repeats)
 
     def _repeats(self, which: npt.NDArray[np.int64]) -> Floats:
         """(M,) number of fixes, at this rate, that make one independent measurement.

@@ -37,13 +37,8 @@ class FilterPair:
         self._counted = SE2(), SE2()  # both poses at the last evaluation
         self._backwards_m = 0.0  # motion of the points' pose against the path, since both were equal
 
-    @property
-    def is_confirmed(self) -> bool:
-        """Odometry and IMU both measure the motion: then isolated points are not used."""
-        return self._is_confirmed
-
-    @is_confirmed.setter
-    def is_confirmed(self, is_confirmed: bool) -> None:
+    def confirm(self, is_confirmed: bool) -> None:
+        """Whether odometry and IMU both measure the motion: then isolated points are not used."""
         self._is_confirmed = is_confirmed
         if is_confirmed:
             self.dots = None

@@ -101,7 +101,7 @@ class InertialMotion:
         wheel_twist = self._odometry.twist_at(stamp_ns) if wheels is not None else None
         self._is_inertial = self._track.covers(self._at_ns, stamp_ns)
         is_confirmed = self._is_inertial and wheel_twist is not None
-        self.filters.is_confirmed = is_confirmed
+        self.filters.confirm(is_confirmed)
         steps = list(self._track.steps(self._at_ns, stamp_ns)) if self._is_inertial else []
         if self._is_inertial:
             self._rate = self._track.rate_at(stamp_ns)
