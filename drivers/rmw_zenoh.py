@@ -49,18 +49,16 @@ def make_gid(session_id: str, name: str) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Qos:
-    """Quality of service of an endpoint: keep last, and no deadline, lifespan or lease."""
+    """Quality of service of an endpoint: reliable, keep last, and no deadline, lifespan or lease."""
 
     depth: int = 10
     is_transient_local: bool = False
-    is_best_effort: bool = False
 
     def encode(self) -> str:
         """reliability:durability:history,depth:deadline:lifespan:liveliness; a default is left empty."""
-        reliability = "2" if self.is_best_effort else ""
         durability = "1" if self.is_transient_local else ""
         depth = "" if self.depth == DEFAULT_DEPTH else str(self.depth)
-        return f"{reliability}:{durability}:,{depth}:,:,:,,"
+        return f":{durability}:,{depth}:,:,:,,"
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,16 +79,15 @@ EndpointKind = Literal["MP", "MS", "SS", "SC"]  # publisher, subscription, servi
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node of ROS 2's graph, in one Zenoh session. Its tokens make it and its endpoints visible."""
+    """The node of a Zenoh session in ROS 2's graph. Its tokens make it and its endpoints visible."""
 
     domain: int
     session_id: str  # zid, as text
     name: str
     namespace: str = ""  # "/veh1"
-    number: int = 0  # within the session
 
     def token(self) -> str:
-        return self._prefix(self.number, "NN")
+        return self._prefix(0, "NN")
 
     def endpoint_token(self, number: int, kind: EndpointKind, topic: Topic, qos: Qos) -> str:
         """number: of the endpoint within the session, no two alike."""
@@ -102,7 +99,7 @@ class Node:
     def _prefix(self, number: int, kind: str) -> str:
         """With % for the enclave, which is none."""
         return (
-            f"{ADMIN_SPACE}/{self.domain}/{self.session_id}/{self.number}/{number}/{kind}/%/"
+            f"{ADMIN_SPACE}/{self.domain}/{self.session_id}/0/{number}/{kind}/%/"
             f"{_mangled(self.namespace)}/{self.name}"
         )
 

@@ -93,7 +93,6 @@ class Utm30lxSetup:
     product: str = ""  # what it calls itself; "": as its model does
     serial_number: str = "00903971"
     last_step: int | None = None  # None: as its model states in PP
-    front_step: int | None = None
     boot_ns: int = 0  # nothing answers; a real one takes 1 to 2 s by USB, several by Ethernet
     warm_up_ns: int = 0  # after that: laser and scans are answered 0M
     scip_1: bool = False  # until it gets SCIP2.0

@@ -54,7 +54,7 @@ class FakeUtm30lx:
         self.fault_status = ""
         self.stalled = False
         self.counters: Counter[str] = Counter()
-        own = {name: getattr(setup, name) for name in ("last_step", "front_step", "no_return_mm")}
+        own = {name: getattr(setup, name) for name in ("last_step", "no_return_mm")}
         given = {name: value for name, value in own.items() if value is not None}
         self._replies = REPLIES[setup.model, setup.wire]._replace(**given)
         self._optics = Optics(source, self._replies)

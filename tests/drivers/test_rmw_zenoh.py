@@ -44,16 +44,16 @@ def test_the_key_of_a_topic():
 
 def test_the_token_of_a_node():
     assert NODE.token() == "@ros2_lv/0/c0ffee/0/0/NN/%/%/corridor"
-    assert Node(3, "c0ffee", "corridor", "/site/veh1", 2).token() == (
-        "@ros2_lv/3/c0ffee/2/2/NN/%/%site%veh1/corridor"
+    assert Node(3, "c0ffee", "corridor", "/site/veh1").token() == (
+        "@ros2_lv/3/c0ffee/0/0/NN/%/%site%veh1/corridor"
     )
 
 
 @pytest.mark.parametrize("kind", ["MP", "MS", "SS", "SC"])
 def test_the_token_of_an_endpoint(kind):
-    assert NODE.endpoint_token(10, kind, SCAN, Qos(depth=5, is_best_effort=True)) == (
+    assert NODE.endpoint_token(10, kind, SCAN, Qos(depth=5)) == (
         f"@ros2_lv/0/c0ffee/0/10/{kind}/%/%/corridor/%scan/sensor_msgs::msg::dds_::LaserScan_/{SCAN_HASH}/"
-        "2::,5:,:,:,,"
+        "::,5:,:,:,,"
     )
 
 
@@ -63,7 +63,6 @@ def test_the_token_of_an_endpoint(kind):
         (Qos(depth=42), "::,:,:,:,,"),
         (Qos(), "::,10:,:,:,,"),
         (Qos(depth=1, is_transient_local=True), ":1:,1:,:,:,,"),
-        (Qos(depth=5, is_best_effort=True), "2::,5:,:,:,,"),
     ],
 )
 def test_the_quality_of_service_is_short_where_it_is_the_default(qos, text):
