@@ -252,8 +252,10 @@ class Deskew(Protocol):
     def moment_of(self, scan: LaserScan) -> int:
         """Moment of the base pose that the points depend on most, ns."""
 
-    def __call__(self, scan: LaserScan, motion: Motion, at_ns: int) -> Points:
-        """at_ns   moment of `motion`; the points are given at it"""
+    def __call__(self, scan: LaserScan, motion: Motion, at_ns: int, offset: SE2) -> Points:
+        """at_ns    moment of `motion`; the points are given at it
+        offset   of the laser from its configured mounting, base axes
+        """
 
 
 class LocalMap(Protocol):

@@ -216,7 +216,8 @@ class Mapper(Generic[ReadableMap]):
         travel_m, predicted = self._predict(at_ns)  # pose and twist
         if refused := self._checks.refuse(scan, at_ns, travel_m):
             return self._output(scan, at_ns, s.motion_model.correct(None), refused, 0.0)
-        points = s.deskew(scan, predicted, at_ns)  # base frame, one instant; keeps each beam's time
+        # base frame, one instant; keeps each beam's time
+        points = s.deskew(scan, predicted, at_ns, self._checks.mounting_offset(scan.sensor))
         watch.lap("deskew")
         prior = self._checks.comparison_prior(scan.sensor, at_ns, predicted)
         if prior is not None:
@@ -229,6 +230,7 @@ class Mapper(Generic[ReadableMap]):
         if not too_few(points):
             self._unmatched = None
         reason = of_laser(scan.sensor, match.reason)
+        self._checks.refine_mounting(predicted, match)
         match = match._replace(motion=s.motion_model.correct(match.measured), reason=reason)
         watch.lap("match")
         checked = self._checks.judge(match, at_ns, s.motion_model.fault)

@@ -98,11 +98,15 @@ def lasers(seeds: Sequence[int]) -> Section:
         half_ns = round(HALF * seconds * 1e9)
         mountings = {laser.name: laser.mounting for laser in ALL}
         wrong = mountings | {"rear": SE2(-0.2, 0.0, math.pi + WRONG_YAW_RAD)}
+        off = mountings | {
+            one: mountings[one] @ SE2(0.016, -0.012, math.radians(0.25)) for one in ("rear", "lux")
+        }
         reversed_rear = mountings | {"rear": mountings["rear"] @ SE2(0.0, 0.0, math.pi)}
         cases: list[tuple[str, Sequence[Laser], dict[str, SE2], Tamper | None]] = [
             ("front", (FRONT,), mountings, None),
             ("rear", (REAR,), mountings, None),
             ("front, rear and LUX", ALL, mountings, None),
+            ("the same, rear and LUX 2 cm and 0.25 deg off their mountings", ALL, off, None),
             ("the same, rear dies half-way", ALL, mountings, _after(half_ns, lambda scan, held: None)),
             (
                 "the same, rear hangs half-way",

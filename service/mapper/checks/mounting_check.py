@@ -6,9 +6,13 @@ until its offset from the configured mounting is known. The offset is a least-sq
 compared with MOUNTING_TOLERANCE. In a young map a search may place a scan wrongly, turned by 90 degrees in a
 room: scans that contradict the others weigh less, as in odometry_mounting. A corridor is symmetric: whether a
 laser is turned by 180 degrees is decided by contradictions with known ground.
+
+A laser within the tolerance is mapped. Where its scans right after those of other lasers contradict a
+calibrated mounting, it is corrected by what they measure; docs/estimator.md, [36].
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +24,8 @@ from service.mapper.checks.stamp_check import BATCH, SCANS_WITH_SAME_ERRORS
 from service.outputs import NO_REASON, Reason
 
 MOUNTING_TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad: of mountings measured by hand
+CALIBRATED = np.diag([0.001, 0.001, math.radians(0.02)]) ** 2  # of mountings by `corridor calibrate`
+WEAK = 1e-3 * np.linalg.inv(MOUNTING_TOLERANCE)  # information that keeps unobservable directions invertible
 SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # sigmas of the search for its scans meanwhile
 ROBUST_CHI2 = 9.0  # at which a scan, or a step, has half its weight
 MIN_ADVANTAGE = 0.1  # of one orientation over the other, in agreement with known ground
@@ -35,6 +41,8 @@ class MountingCheck:
     def __init__(self) -> None:
         self.is_right = True
         self.fault = NO_REASON  # the offset, once it is known
+        self._covariance: Matrix | None = None  # (3, 3) of `applied`, base axes; None: nothing is corrected
+        self._applied = np.zeros(3)  # m, m, rad: correction of the configured mounting, base axes
         self._advantage = 0.0  # sum over batches
         self._offset = np.zeros(3)  # of the sensor from its configured mounting, base axes: m, m, rad
         self._begin_batch()
@@ -42,6 +50,20 @@ class MountingCheck:
     def begin(self) -> None:
         """Start the comparison: another laser has begun the map."""
         self.is_right = False
+
+    @property
+    def applied(self) -> SE2:
+        """Correction of the configured mounting, base axes."""
+        return SE2.exp(*self._applied.tolist())
+
+    def refine(self, predicted: Prediction, measured: Measurement) -> bool:
+        """Add a scan right after one of another laser; whether `applied` was corrected."""
+        self._add(*_scan_alone(measured, predicted, predicted.local_covariance))
+        if len(self._weighed) < BATCH:
+            return False
+        is_corrected = self._refine()
+        self._begin_batch()
+        return is_corrected
 
     def search_prior(self, predicted: Prediction, late_s: float) -> Prediction:
         """Pose and covariance of the search for its scan on the map. late_s: of its stamps."""
@@ -54,14 +76,8 @@ class MountingCheck:
         )
 
     def add(self, prior: Prediction, measured: Measurement, advantage: float | None = None) -> None:
-        """Add a scan aligned with the map from `search_prior`. advantage: as in Match.
-
-        The joint pose is C I e from the prediction, with its covariance C, the scan's information I and the
-        offset e of the scan alone; so I e is computed without inverting I.
-        """
-        off = (prior.pose_odom_base.inverse() @ measured.pose_odom_base).log()
-        self._information.append(measured.information / SCANS_WITH_SAME_ERRORS)
-        self._weighed.append(np.linalg.inv(measured.covariance) @ off / SCANS_WITH_SAME_ERRORS)
+        """Add a scan aligned with the map from `search_prior`. advantage: as in Match."""
+        self._add(*_scan_alone(measured, prior, np.zeros((3, 3))))
         self._advantages.append(MIN_ADVANTAGE if advantage is None else advantage)
         if len(self._weighed) == BATCH:
             self._judge()
@@ -78,14 +94,34 @@ class MountingCheck:
                 "mounting; it is not mapped. Are its mounting and theirs as configured?",
             )
 
+    def _add(self, information: Matrix, weighed: Matrix) -> None:
+        self._information.append(information / SCANS_WITH_SAME_ERRORS)
+        self._weighed.append(weighed / SCANS_WITH_SAME_ERRORS)
+
+    def _batch(self) -> tuple[Matrix, Matrix]:
+        return np.array(self._information), np.array(self._weighed)
+
     def _begin_batch(self) -> None:
         self._information: list[Matrix] = []  # (3, 3) of each scan
         self._weighed: list[Matrix] = []  # (3,) information times offset
         self._advantages: list[float] = []
         self._missed = 0
 
+    def _refine(self) -> bool:
+        """Correct the mounting by a batch unless the config agrees as if calibrated; whether it was."""
+        batch = self._batch()
+        if self._covariance is None:
+            off, covariance = _robust_mean(*batch, WEAK)
+            if float(off @ np.linalg.solve(covariance + CALIBRATED, off)) <= CHI2_999_OF_3:
+                return False
+            self._covariance = MOUNTING_TOLERANCE
+        prior = np.asarray(np.linalg.inv(self._covariance), np.float64)
+        correction, self._covariance = _robust_mean(*batch, prior)
+        self._applied = self._applied + correction
+        return True
+
     def _judge(self) -> None:
-        correction, covariance = _robust_mean(np.array(self._information), np.array(self._weighed))
+        correction, covariance = _robust_mean(*self._batch(), WEAK)
         self._offset = self._offset + _bounded(correction, covariance)
         sigma_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[0]))
         if math.sqrt(covariance[2, 2]) > KNOWN_RAD or sigma_m > KNOWN_M:
@@ -109,14 +145,36 @@ class MountingCheck:
         return Reason("laser_mounting", words + "Measure its mounting and theirs, and correct the config")
 
 
-def _robust_mean(information: Matrix, weighed: Matrix) -> tuple[Matrix, Matrix]:
+def centre(checks: Iterable[MountingCheck]) -> None:
+    """Shift the corrections of all mapped lasers to a mean of 0: no mounting is better than another."""
+    mapped = [check for check in checks if check.is_right]
+    mean = np.mean([check._applied for check in mapped], axis=0)
+    for check in mapped:
+        check._applied = check._applied - mean
+
+
+def _scan_alone(measured: Measurement, predicted: Prediction, added: Matrix) -> tuple[Matrix, Matrix]:
+    """Information J = (I^-1 + D)^-1 of the scan alone, (3, 3), and J e, (3,).
+
+    added   (3, 3) covariance D, base axes
+
+    e is the offset of the scan alone from the prediction. The joint pose is C I e from it, with its
+    covariance C; so no direction needs to be known.
+    """
+    off = (predicted.pose_odom_base.inverse() @ measured.pose_odom_base).log()
+    kept = np.linalg.inv(np.eye(3) + measured.information @ added)
+    joint = np.linalg.inv(measured.covariance) if measured.is_joined else measured.information
+    return kept @ measured.information, kept @ joint @ off
+
+
+def _robust_mean(information: Matrix, weighed: Matrix, prior: Matrix) -> tuple[Matrix, Matrix]:
     """(3,) offset m, m, rad and its covariance (3, 3).
 
     information   (K, 3, 3)   of each scan, singular where a direction is unobservable
     weighed       (K, 3)      information times offset
+    prior         (3, 3)      information of an offset of 0
     """
     inverse = np.linalg.pinv(information, hermitian=True)
-    prior = 1e-3 * np.linalg.inv(MOUNTING_TOLERANCE)
     counts = np.ones(len(weighed))
     offset, covariance = np.zeros(3), prior
     for _ in range(4):

@@ -8,8 +8,9 @@ import numpy as np
 from drivers.frames import LaserScan, OdometrySample
 from service.estimator.estimator import PAUSE_NS
 from service.estimator.motion import Prediction
+from service.geometry.se2 import SE2
 from service.kernels.tracks import SPEED_WINDOW_NS
-from service.mapper.checks.mounting_check import MountingCheck
+from service.mapper.checks.mounting_check import MountingCheck, centre
 from service.mapper.checks.odometry_mounting import OdometryMounting
 from service.mapper.checks.stamp_check import StampChecks
 from service.mapper.components import Match
@@ -110,6 +111,7 @@ class SensorChecks:
         self._odometry_mounting = OdometryMounting()
         self._stamps = StampChecks()
         self._travel_m = 0.0  # as predicted, from scan to scan
+        self._matched = ""  # laser of the newest scan that was matched
 
     def add_odometry(self, sample: OdometrySample) -> None:
         self._odometry_wait.add(sample.stamp_ns)
@@ -144,6 +146,22 @@ class SensorChecks:
         )
         return Verdict("degraded" if self._confirmed_by_another(scan.sensor, at_ns) else "lost", reason)
 
+    def mounting_offset(self, sensor: str) -> SE2:
+        """As MountingCheck.applied."""
+        return self._lasers[sensor].mounting.applied
+
+    def refine_mounting(self, predicted: Prediction, match: Match) -> None:
+        """Correct the mounting of a laser by a scan that was matched right after one of another laser."""
+        measured, sensor = match.measured, match.points.scan.sensor
+        if measured is None:
+            return
+        before, self._matched = self._matched, sensor
+        is_jump = measured.gap is not None or measured.segment_noise is not None
+        if before in ("", sensor) or is_jump:
+            return
+        if self._lasers[sensor].mounting.refine(predicted, measured):
+            centre(laser.mounting for laser in self._lasers.values())
+
     def comparison_prior(self, sensor: str, at_ns: int, predicted: Prediction) -> Prediction | None:
         """Where to search a scan of a laser whose mounting or stamps are in doubt; None: it is mapped.
 
@@ -161,8 +179,9 @@ class SensorChecks:
         sensor = match.points.scan.sensor
         mounting = self._lasers[sensor].mounting
         if match.measured is not None and match.state != "lost":
-            self._stamps.add(sensor, at_ns, match.measured.pose_odom_base.theta_rad)
-            mounting.add(prior, match.measured, match.advantage)
+            self._add_heading(sensor, at_ns, match.measured.pose_odom_base)
+            if not mounting.is_right:
+                mounting.add(prior, match.measured, match.advantage)
         elif match.is_contradicted:
             mounting.miss()
         fault = self._stamps.fault_of(sensor) or mounting.fault
@@ -189,11 +208,16 @@ class SensorChecks:
             self._lasers[sensor].confirmed_ns = at_ns if match.state != "lost" else None
         if match.state != "ok":
             return match
-        heading_rad = match.motion.pose_odom_base.theta_rad
-        self._stamps.add(sensor, at_ns, heading_rad)
+        pose = match.motion.pose_odom_base if match.measured is None else match.measured.pose_odom_base
+        self._add_heading(sensor, at_ns, pose)
         self._odometry_mounting.add_pose(at_ns, match.motion.pose_odom_base)
         fault = self._odometry_mounting.fault or motion_fault
         return match._replace(state="degraded", reason=fault) if fault else match
+
+    def _add_heading(self, sensor: str, at_ns: int, pose: SE2) -> None:
+        """Add the heading by the configured mounting: a refined one follows late stamps in turns."""
+        turned = pose @ self._lasers[sensor].mounting.applied
+        self._stamps.add(sensor, at_ns, turned.theta_rad)
 
     def _contradicted(self, match: Match, other: str, few: Reason) -> Verdict:
         """Verdict on a scan that fits nowhere while another laser confirms the pose: its laser is at fault.

@@ -1,5 +1,6 @@
 """Scan to points: unusable beams are dropped, the motion during the sweep is removed."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -41,14 +42,19 @@ class DeskewByTwist:
         self._outline_m = np.array(outline_m, np.float64).reshape(-1, 2)
         self._mountings = dict(mountings)
         self._noise: dict[str, tuple[int, float]] = {}
-        self._directions: dict[tuple[str, float, float, int], Floats] = {}
+        self._directions: dict[tuple[str, float, float, int], tuple[float, Floats]] = {}
 
     def moment_of(self, scan: LaserScan) -> int:
         """Time of the deskewed points: that of the first beam."""
         return scan.stamp_ns
 
-    def __call__(self, scan: LaserScan, motion: Motion, at_ns: int | None = None) -> Points:
-        """Points at the time at_ns of the motion; None: that of the first beam. Raises InputError."""
+    def __call__(
+        self, scan: LaserScan, motion: Motion, at_ns: int | None = None, offset: SE2 | None = None
+    ) -> Points:
+        """Points at the time at_ns of the motion; None: that of the first beam. Raises InputError.
+
+        offset   of the laser from its configured mounting, base axes
+        """
         mounting = self._mountings.get(scan.sensor)
         if mounting is None:
             known = ", ".join(sorted(self._mountings)) or "none"
@@ -56,6 +62,8 @@ class DeskewByTwist:
                 f"{scan.sensor}: a scan of a laser whose mounting is not known (known: {known}); "
                 "give its mounting in the config, or its transform in the recording"
             )
+        if offset is not None:
+            mounting = offset @ mounting
         beam_count = len(scan.range_m)
         returns = Returns(np.empty((beam_count, 2)), np.empty(beam_count), np.empty(beam_count, np.int32))
         config = self._config
@@ -89,10 +97,12 @@ class DeskewByTwist:
 
     def _directions_of(self, scan: LaserScan, mounting: SE2) -> Floats:
         key = (scan.sensor, scan.first_angle_rad, scan.angle_step_rad, len(scan.range_m))
-        if key not in self._directions:
+        theta_rad, directions = self._directions.get(key, (math.nan, np.empty((0, 2))))
+        if theta_rad != mounting.theta_rad:
             angle = mounting.theta_rad + scan.first_angle_rad + np.arange(key[3]) * scan.angle_step_rad
-            self._directions[key] = np.ascontiguousarray(np.stack([np.cos(angle), np.sin(angle)], axis=1))
-        return self._directions[key]
+            directions = np.ascontiguousarray(np.stack([np.cos(angle), np.sin(angle)], axis=1))
+            self._directions[key] = mounting.theta_rad, directions
+        return directions
 
 
 class DeskewByMotion(DeskewByTwist):

@@ -15,11 +15,12 @@ from service.mapper.localisation import UNCONFIRMED_PLACE
 from service.mapper.methods.shared import NoGraph
 from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
+from simulators.truth import Ride
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Trip
 from tests.accuracy.sensors import GOOD_WHEELS, LMS100_10HZ, LUX_AHEAD
 from tests.service.mapper.drives import MOUNTING, ROOM, drive, outputs_of, standing
-from tests.simulated import FORWARD, Imu, Laser
+from tests.simulated import FORWARD, UTM30LX_40HZ, Imu, Laser, odometry, scans
 
 
 @pytest.mark.parametrize("profile", ["contour_lm", "submap_graph"])
@@ -164,6 +165,30 @@ def test_sweeps_of_two_lasers_overlap_and_every_one_is_mapped():
     off = [true_pose(o.stamp_ns).inverse() @ o.pose_map_base for o in outputs]
     assert max(math.hypot(e.x_m, e.y_m) for e in off) < 0.01
     assert {output.state for output in outputs} == {"ok"}
+
+
+def test_a_mounting_measured_to_two_centimetres_is_no_error_of_odometry():
+    """Both lasers at the same times: by what they differ the wheels would seem to roll too far.
+
+    Then the wheels alone measure the path.
+    """
+    seconds, silent_ns, back_ns = 7.0, 4_000_000_000, 6_500_000_000
+    ride = Ride(WORLDS["ring"](), 0, 0.5)
+    front = replace(UTM30LX_40HZ, beams=361, step_deg=0.75)
+    frames: list[Frame] = [*odometry(ride, GOOD_WHEELS, seconds, 5)]
+    rear = replace(front, name="rear", mounting=SE2(-0.2, 0.0, math.pi))
+    for seed, laser in enumerate((front, rear)):
+        frames += scans(ride, laser, seconds, [seed])[0]
+    mountings = {"front": FORWARD, "rear": rear.mounting @ SE2(0.02, -0.01, 0.0)}
+    mapper: Mapper = build_mapper(mapping_config(), mountings)
+    begin, worst_m = ride.pose(0), 0.0
+    for frame in sorted(frames, key=lambda frame: (frame.arrived_ns, frame.sensor)):
+        if isinstance(frame, LaserScan) and silent_ns < frame.stamp_ns < back_ns:
+            continue
+        if (output := mapper.process(frame)) is not None and frame.stamp_ns > back_ns:
+            error = (begin.inverse() @ ride.pose(output.stamp_ns)).inverse() @ output.pose_map_base
+            worst_m = max(worst_m, math.hypot(error.x_m, error.y_m))
+    assert worst_m < 0.03
 
 
 def test_a_laser_that_is_turned_against_its_mounting_is_not_mapped_and_reported_by_how_much():

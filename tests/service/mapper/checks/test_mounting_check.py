@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from service.estimator.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
-from service.mapper.checks.mounting_check import SEARCHED, MountingCheck
+from service.mapper.checks.mounting_check import SEARCHED, MountingCheck, centre
 from service.mapper.checks.stamp_check import BATCH
 
 SIGMA = np.diag([0.004, 0.004, math.radians(0.2)])
@@ -30,14 +31,46 @@ def compare(
     check.begin()
     for number, offset in enumerate(offsets):
         prior = check.search_prior(HERE, 0.0)
-        off = (prior.pose_odom_base.inverse() @ HERE.pose_odom_base @ offset).log()
-        information = seen @ np.linalg.inv(SIGMA @ SIGMA)
-        covariance = np.linalg.inv(information + np.linalg.inv(prior.local_covariance))
-        found = covariance @ information @ (off + SIGMA @ rng.standard_normal(3))
-        pose = prior.pose_odom_base @ SE2.exp(*found.tolist())
         advantage = advantages[min(number // BATCH, len(advantages) - 1)]
-        check.add(prior, Measurement(pose, covariance, information), advantage)
+        check.add(prior, measured(prior, offset, seen, rng), advantage)
     return check
+
+
+def measured(prior: Prediction, offset: SE2, seen: np.ndarray, rng: np.random.Generator) -> Measurement:
+    """A scan at this offset from HERE."""
+    off = (prior.pose_odom_base.inverse() @ HERE.pose_odom_base @ offset).log()
+    information = seen @ np.linalg.inv(SIGMA @ SIGMA)
+    covariance = np.linalg.inv(information + np.linalg.inv(prior.local_covariance))
+    found = covariance @ information @ (off + SIGMA @ rng.standard_normal(3))
+    pose = prior.pose_odom_base @ SE2.exp(*found.tolist())
+    return Measurement(pose, covariance, information)
+
+
+def refined(offset: SE2, scans: int = 1000) -> MountingCheck:
+    """A mapped laser at this offset, whose scans follow those of others."""
+    check, rng = MountingCheck(), np.random.default_rng(4)
+    predicted = replace(HERE, local_covariance=1e-6 * np.eye(3))
+    for _ in range(scans):
+        check.refine(predicted, measured(predicted, check.applied.inverse() @ offset, np.eye(3), rng))
+    return check
+
+
+def test_scans_after_those_of_other_lasers_correct_a_mounting_measured_by_hand():
+    offset = SE2(0.02, -0.01, math.radians(0.2))
+    off = np.array((refined(offset).applied.inverse() @ offset).log())
+    assert (np.abs(off) < np.array([0.001, 0.001, math.radians(0.05)])).all()
+
+
+def test_a_calibrated_mounting_stays_as_configured():
+    """Else noise would bend the map: along a corridor it agrees with any yaw."""
+    assert refined(SE2(0.001, 0.0, math.radians(0.02))).applied == SE2()
+
+
+def test_lasers_that_differ_are_corrected_alike():
+    first, second = MountingCheck(), refined(SE2(0.02))
+    centre([first, second])
+    assert first.applied.x_m == pytest.approx(-0.01, abs=0.001)
+    assert second.applied.x_m == pytest.approx(0.01, abs=0.001)
 
 
 @pytest.mark.parametrize("seen", [np.eye(3), OPEN], ids=["room", "corridor"])
