@@ -43,13 +43,14 @@ class MountingCheck:
         self.fault = NO_REASON  # the offset, once it is known
         self._covariance: Matrix | None = None  # (3, 3) of `applied`, base axes; None: nothing is corrected
         self._applied = np.zeros(3)  # m, m, rad: correction of the configured mounting, base axes
+        self._is_further = False  # another laser began the map
         self._advantage = 0.0  # sum over batches
         self._offset = np.zeros(3)  # of the sensor from its configured mounting, base axes: m, m, rad
         self._begin_batch()
 
     def begin(self) -> None:
         """Start the comparison: another laser has begun the map."""
-        self.is_right = False
+        self.is_right, self._is_further = False, True
 
     @property
     def applied(self) -> SE2:
@@ -108,17 +109,25 @@ class MountingCheck:
         self._missed = 0
 
     def _refine(self) -> bool:
-        """Correct the mounting by a batch unless the config agrees as if calibrated; whether it was."""
+        """Correct the mounting by a batch, within the tolerance; whether it was corrected."""
         batch = self._batch()
+        off, covariance = _robust_mean(*batch, WEAK)
+        if _chi2(self._applied + off, covariance + MOUNTING_TOLERANCE) > CHI2_999_OF_3:
+            self._doubt(off)
+            return False
         if self._covariance is None:
-            off, covariance = _robust_mean(*batch, WEAK)
-            if float(off @ np.linalg.solve(covariance + CALIBRATED, off)) <= CHI2_999_OF_3:
+            if _chi2(off, covariance + CALIBRATED) <= CHI2_999_OF_3:
                 return False
             self._covariance = MOUNTING_TOLERANCE
         prior = np.asarray(np.linalg.inv(self._covariance), np.float64)
         correction, self._covariance = _robust_mean(*batch, prior)
         self._applied = self._applied + correction
         return True
+
+    def _doubt(self, offset: Matrix) -> None:
+        """Compare a further laser with the map again: it was knocked, or the first one was."""
+        if self._is_further:
+            self.is_right, self._advantage, self._offset = False, 0.0, offset
 
     def _judge(self) -> None:
         correction, covariance = _robust_mean(*self._batch(), WEAK)
@@ -129,7 +138,7 @@ class MountingCheck:
         self._advantage += float(np.mean(self._advantages))
         if abs(self._advantage) < MIN_ADVANTAGE:  # ambiguous between the two orientations so far
             return
-        chi2 = float(self._offset @ np.linalg.solve(covariance + MOUNTING_TOLERANCE, self._offset))
+        chi2 = _chi2(self._offset, covariance + MOUNTING_TOLERANCE)
         self.is_right = self._advantage > 0.0 and chi2 <= CHI2_999_OF_3
         self.fault = NO_REASON if self.is_right else self._fault_of()
 
@@ -151,6 +160,10 @@ def centre(checks: Iterable[MountingCheck]) -> None:
     mean = np.mean([check._applied for check in mapped], axis=0)
     for check in mapped:
         check._applied = check._applied - mean
+
+
+def _chi2(offset: Matrix, covariance: Matrix) -> float:
+    return float(offset @ np.linalg.solve(covariance, offset))
 
 
 def _scan_alone(measured: Measurement, predicted: Prediction, added: Matrix) -> tuple[Matrix, Matrix]:

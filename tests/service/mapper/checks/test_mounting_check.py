@@ -66,6 +66,18 @@ def test_a_calibrated_mounting_stays_as_configured():
     assert refined(SE2(0.001, 0.0, math.radians(0.02))).applied == SE2()
 
 
+@pytest.mark.parametrize("is_further", [True, False])
+def test_a_further_laser_that_is_knocked_is_compared_with_the_map_again(is_further):
+    check, rng = MountingCheck(), np.random.default_rng(4)
+    if is_further:
+        check = compare([SE2()] * BATCH)
+    predicted = replace(HERE, local_covariance=1e-6 * np.eye(3))
+    for _ in range(BATCH):
+        check.refine(predicted, measured(predicted, SE2(0.0, 0.0, math.radians(3.0)), np.eye(3), rng))
+    assert check.is_right != is_further
+    assert check.applied == SE2()
+
+
 def test_lasers_that_differ_are_corrected_alike():
     first, second = MountingCheck(), refined(SE2(0.02))
     centre([first, second])
