@@ -160,6 +160,7 @@ class SensorChecks:
         if before in ("", sensor) or is_jump:
             return
         if self._lasers[sensor].mounting.refine(predicted, measured):
+            self._counters[f"mounting_corrected_{sensor}"] += 1
             centre(laser.mounting for laser in self._lasers.values())
 
     def comparison_prior(self, sensor: str, at_ns: int, predicted: Prediction) -> Prediction | None:

@@ -226,6 +226,12 @@ class ReplayRun:
                     "until 25 of them agree with its mounting in the config",
                     *(laser, compared, scans),
                 )
+            if self._mapper.counters[f"mounting_corrected_{laser}"]:
+                log.warning(
+                    "%s: its scans contradict those of other lasers by more than a calibrated mounting does; "
+                    "it was corrected for this drive. `corridor calibrate` measures the mountings",
+                    laser,
+                )
         # In localisation the map stays the one it was.
         is_localized = self._setup.mapping.mode == "localization"
         return Replay(

@@ -189,6 +189,7 @@ def test_a_mounting_measured_to_two_centimetres_is_no_error_of_odometry():
             error = (begin.inverse() @ ride.pose(output.stamp_ns)).inverse() @ output.pose_map_base
             worst_m = max(worst_m, math.hypot(error.x_m, error.y_m))
     assert worst_m < 0.03
+    assert mapper.counters["mounting_corrected_rear"] > 0
 
 
 def test_a_laser_that_is_turned_against_its_mounting_is_not_mapped_and_reported_by_how_much():
