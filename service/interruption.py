@@ -16,6 +16,7 @@ from typing import Any
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+PR_SET_PDEATHSIG = 1  # prctl(2)
 
 _cleanups: list[Callable[[], object]] = []
 _ends = threading.RLock()  # never let go: of two threads that hear one signal the first ends the process
@@ -100,6 +101,23 @@ def end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, name="parent-watch", daemon=True).start()
+
+
+@contextmanager
+def killed_with_parent() -> Iterator[None]:
+    """In here the system kills this process when the thread that began it ends, killed or not.
+
+    A compiler that is at work reads no pipe and runs no watching thread. Of a parent that was gone before
+    nothing is heard: the pipe or socket to it says so.
+    """
+    import ctypes  # what only checks a config does without
+
+    libc, none = ctypes.CDLL(None), 0
+    libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    try:
+        yield
+    finally:
+        libc.prctl(PR_SET_PDEATHSIG, none)
 
 
 def _left_to_end_by_themselves() -> set[int]:

@@ -7,24 +7,22 @@ the last. It ends with the process that began it.
     worker                                  | niceness 19, compiles seldom kernels into the cache | ends
 """
 
-import ctypes
 import gc
 import json
 import logging
 import os
 import select
-import signal
 import subprocess
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
 from service.compile.signatures import Job, start_compiler
+from service.interruption import killed_with_parent
 
 log = logging.getLogger(__name__)
 
 LAST = 19  # niceness: any other program goes first
-PR_SET_PDEATHSIG = 1  # prctl(2)
 
 
 class Worker(subprocess.Popen[bytes]):
@@ -84,11 +82,10 @@ class SeldomKernels:
 
 
 def main() -> None:
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     os.nice(int(sys.argv[1]))
     gc.disable()  # collections of the compiler's objects take a tenth of the time; without, 200 MB more
-    start_compiler()
-    with suppress(BrokenPipeError):  # the process that this one works for is ending
+    with killed_with_parent(), suppress(BrokenPipeError):  # the process that this one works for is ending
+        start_compiler()
         print(flush=True)
         for line in sys.stdin:
             if (job := json.loads(line)) is None:

@@ -27,6 +27,7 @@ from service.compile.warm_up import KernelProgress
 from service.compile.warm_up import warm_up as warm_up_kernels
 from service.compile.worker import SeldomKernels
 from service.encoding import warm_up as warm_up_encoding
+from service.interruption import killed_with_parent
 from service.log_format import set_up_logging
 from service.mapper.background import BackEndDiedError
 from service.mapper.mapping_session import MappingSession
@@ -293,9 +294,10 @@ def _reported() -> MappingConfig | None:
 
 
 def _load(channel: Channel) -> list[Job]:
-    """The kernels that are left to be compiled, for not every scan calls them."""
-    warm_up_encoding()
-    return warm_up_kernels(back_end_elsewhere=True, progress=_progress(channel), leaves_seldom=True)
+    """The kernels that are left to be compiled, for not every scan calls them. Ends with ingest."""
+    with killed_with_parent():
+        warm_up_encoding()
+        return warm_up_kernels(back_end_elsewhere=True, progress=_progress(channel), leaves_seldom=True)
 
 
 def main() -> int:

@@ -1,5 +1,6 @@
 """The mapper's process that is begun before the config is checked."""
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -8,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from service.runtime.early_mapper import EarlyMapper, MapperSocket, mapping_section
+from tests.processes import alive, look_at
+from tests.waiting import wait_until
 
 
 @pytest.mark.parametrize("content", [b"mapping: 3", b"- mapping", b"", b"\xff\xfe", b"vehicle: a"])
@@ -28,6 +31,28 @@ def test_a_process_that_no_one_takes_over_ends_with_its_folder(is_reported: bool
             early.process.wait(0.05)
     assert early.process.returncode is not None
     assert not folder.exists()
+
+
+BEGINS = """
+from service.runtime.early_mapper import EarlyMapper
+with EarlyMapper() as early:
+    early.tell({})
+    print(early.process.pid, flush=True)
+    input()
+"""
+
+
+def test_a_service_that_is_killed_leaves_no_process_that_compiles_kernels(tmp_path: Path):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "TMPDIR": str(tmp_path)}
+    command, pipe = [sys.executable, "-c", BEGINS], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as service:
+        assert service.stdout is not None
+        mapper = int(service.stdout.readline())
+        wait_until(lambda: [one for one in alive() if one.parent == mapper], words="it compiles nothing")
+        compilers = [one.pid for one in alive() if one.parent == mapper]
+        service.kill()
+        service.wait()
+        wait_until(lambda: not any(map(look_at, [mapper, *compilers])), 10.0, "they outlive it")
 
 
 MAKES = (
