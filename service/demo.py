@@ -53,6 +53,7 @@ DEVICES: dict[str, tuple[str, dict[str, float]]] = {  # name -> type and mountin
 }
 
 LATEST_POSE_NS = 2_000_000_000  # after its scan: older ones are not mapped
+NO_ERROR: dict[str, float | None] = {"position_rmse_m": None, "heading_rmse_deg": None}  # it is not known
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -108,7 +109,7 @@ def demo(
     watch: Callable[[Service], None] = lambda service: None,
     say: Callable[[str], Any] = sys.stderr.write,
 ) -> dict[str, Any]:
-    """Run the demo; its summary, for JSON. Raises CorridorError and its kin.
+    """Run the demo; its summary, for JSON. Raises CorridorError and its kin where it does not begin.
 
     compiling   opened while kernels are compiled, and called with each; left out, the log says how far it is
     watch       called several times a second while the service starts and runs
@@ -135,12 +136,14 @@ def demo(
     with simulators(options, truth) as fakes:
         config = demo_config(fakes.endpoints, options, zenoh_port, page)
         summary = run(config, options.seconds, options.out / "map", _tell_where_to_look, fakes.fault, look)
+        is_truth_whole = not fakes.fault()
     mapped = last_map(summary)
+    error = pose_error(mapped, truth) if is_truth_whole else NO_ERROR
     return {
         "seconds": round(summary.seconds, 1),
         "scans": summary.scans,
         "scans_dropped": summary.scans_dropped,
-        **pose_error(mapped, truth),
+        **error,
         "latency_ms": summary.latency_ms.as_dict(),
         "scan_cpu_ms": summary.scan_cpu_ms.as_dict(),
         "rates_hz": summary.rates_hz,
@@ -148,6 +151,7 @@ def demo(
         "void": _void(fakes.left_out, mapped.began),
         "session": str(summary.sessions[-1]) if summary.sessions else None,
         "map": str(summary.map_folder) if summary.map_folder else None,
+        "failure": summary.failure or None,
     }
 
 
@@ -284,7 +288,7 @@ def pose_error(mapped: LastMap, truth: Path) -> dict[str, float | None]:
     None where nothing was mapped, or where it was in a stored map: that may lie anywhere in the world.
     """
     if not mapped.poses or mapped.began == LOAD_MAP:
-        return {"position_rmse_m": None, "heading_rmse_deg": None}
+        return NO_ERROR
     poses = mapped.poses
     true = interpolate(np.loadtxt(truth, ndmin=2), mapped.stamps_ns)
     first_true, first = true[0].inverse(), poses[0].inverse()

@@ -2,7 +2,6 @@
 
     CorridorError      1   failed
      |- CalledOffError     a signal came before the service was ready: 130 for Ctrl-C, else 0
-     |- OutputLostError    an output that the run was made for is lost: map or recording
      |- UsageError    64   the command was called wrongly
      |- InputError    65   a file that was handed in cannot be what it claims to be
      |- StorageError  74   the disk or the network refused: full, no rights, port taken
@@ -35,10 +34,6 @@ class CalledOffError(CorridorError):
     def __init__(self, number: signal.Signals) -> None:
         super().__init__(f"the start was called off by {number.name}")
         self.exit_code = 128 + number if number == signal.SIGINT else 0
-
-
-class OutputLostError(CorridorError):
-    """The service ended in good order, yet an output that the run was made for is lost."""
 
 
 class UsageError(CorridorError):

@@ -9,6 +9,7 @@ from pathlib import Path
 from service.cli.console import kernel_progress, print_result
 from service.cli.status_line import status_line
 from service.compile.cache import ensure_cache_dir
+from service.errors import CorridorError
 from service.runtime.early_mapper import EarlyMapper, mapping_section
 
 
@@ -39,6 +40,8 @@ def run(parsed: argparse.Namespace) -> int:
         print_result(summary.as_dict(), as_json=True)
     else:
         print(what_was_written(summary.sessions, summary.map_folder))
+    if summary.failure:
+        raise CorridorError(summary.failure)
     return 0
 
 
@@ -68,4 +71,6 @@ def demo(parsed: argparse.Namespace) -> int:
     with status_line() as line:
         facts = run_demo(options, kernel_progress, line, line.write)
     print_result(facts, parsed.json)
+    if facts["failure"]:
+        raise CorridorError(facts["failure"])
     return 0

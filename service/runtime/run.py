@@ -4,10 +4,11 @@ import logging
 import signal
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from service.config import ServiceConfig
-from service.errors import CalledOffError, CorridorError
+from service.errors import CalledOffError
 from service.runtime.early_mapper import EarlyMapper
 from service.runtime.notify import Notifier
 from service.runtime.service import Service
@@ -33,14 +34,14 @@ def run(
     `give_up` is called several times a second and may return why to stop as a failure; `watch` is called as
     often, during the start too. `early` is a mapper's process that was begun for this config.
 
-    Whatever ends the run, the recording is finished and the map saved first. Raises CorridorError where a
-    part failed, StorageError where Zenoh cannot listen or the disk refuses, CalledOffError where a signal
-    came before READY.
+    Whatever ends the run, the recording is finished and the map saved first; the summary holds what failed
+    after READY. Raises CorridorError where a part failed before, StorageError where Zenoh cannot listen,
+    CalledOffError where a signal came before READY.
     """
     notifier = Notifier()
     with StopSignals() as signals:
         service = Service(config, notifier, map_folder, on_failure=signals.wake, early=early)
-        reason = failure = called_off = ""
+        reason = given_up = called_off = ""
         try:
 
             def is_cancelled() -> bool:
@@ -50,7 +51,7 @@ def run(
             if service.start(is_cancelled):
                 on_ready(service)
                 deadline_s = None if seconds is None else time.monotonic() + seconds
-                while not (failure := service.failure or give_up()):
+                while not service.failure and not (given_up := give_up()):
                     service.tick()
                     watch(service)
                     left_s = TICK_S if deadline_s is None else deadline_s - time.monotonic()
@@ -62,11 +63,10 @@ def run(
             else:
                 called_off = signals.received
         finally:
-            log.info("stopping: %s", failure or reason or signals.received or "the start failed")
+            why = service.failure or given_up or reason or signals.received or "the start failed"
+            log.info("stopping: %s", why)
             summary = service.stop()
             notifier.close()
-    if called_off:
+    if called_off and not summary.failure:
         raise CalledOffError(signal.Signals[called_off])
-    if failure := failure or service.failure:
-        raise CorridorError(f"{failure}; recording finished and map saved as far as they went")
-    return summary
+    return replace(summary, failure="; ".join(filter(None, [given_up, summary.failure])))

@@ -22,7 +22,7 @@ from drivers.link import LinkHealth
 from service.config import ServiceConfig, mapped_lasers, mounted_upside_down, mountings, tf_static
 from service.encoding import decode_pose, encode_event
 from service.encoding import warm_up as warm_up_encoding
-from service.errors import CorridorError, InputError, OutputLostError
+from service.errors import CorridorError, InputError
 from service.geometry.se2 import SE2
 from service.mapper.profiles import begins_in_stored
 from service.mapstore.begin_in import MapVersion, stored_for, version_to_begin_in
@@ -226,11 +226,7 @@ class Service:
             self._tell_health(now_ns)
 
     def stop(self) -> Summary:
-        """End drivers, mapper and sinks, in this order, each even if one before it failed.
-
-        Raises OutputLostError where the map could not be saved or the recording not be finished; everything
-        is ended by then.
-        """
+        """End drivers, mapper and sinks, in this order, each even if one before it failed."""
         self.stopped = True
         self._notifier.stopping()
         stopped_ns = time.monotonic_ns()
@@ -251,9 +247,7 @@ class Service:
             lost += self._sinks.close()
             threading.excepthook = self._excepthook
             gc.unfreeze()
-        if lost:
-            raise OutputLostError("; ".join(lost))
-        if self._ready_ns and not self.failure:
+        if self._ready_ns and not self.failure and not lost:
             self._end("the removal of the point to resume at", self._resume.remove)
         return Summary(
             seconds=round(seconds, 3),
@@ -266,6 +260,7 @@ class Service:
             cpu_percent=round(100.0 * cpu_s / seconds, 1) if seconds else 0.0,
             written=self._sinks.written(),
             utc_offset_ns=self.host_time.offset_ns,
+            failure="; ".join(filter(None, [self.failure, *lost])),
         )
 
     def _end(self, name: str, end: Callable[[], None]) -> None:

@@ -22,6 +22,7 @@ class Summary:
     cpu_percent: float  # of one core: this process and the mapper's
     written: Mapping[str, list[Path]]  # what each sink has completed on disk, by name of the sink
     utc_offset_ns: int  # Unix time minus host monotonic time, for the run
+    failure: str = ""  # what failed, and what map or recording lacks; "" where neither
 
     @property
     def sessions(self) -> list[Path]:
@@ -46,4 +47,5 @@ class Summary:
             "cpu_percent": self.cpu_percent,
             "sessions": [str(path) for path in self.sessions],
             "map": str(self.map_folder) if self.map_folder else None,
+            "failure": self.failure or None,
         }

@@ -5,13 +5,17 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from service import log_format
 from service.cli import console, main
-from service.errors import ConfigError, CorridorError, InputError, OutputLostError, StorageError, UsageError
+from service.errors import ConfigError, CorridorError, InputError, StorageError, UsageError
+from service.runtime.metrics import Percentiles
+from service.runtime.summary import Summary
 from service.version import VERSION
 
 GOOD = """\
@@ -169,7 +173,6 @@ def test_run_refuses_a_bad_config_before_anything_starts(tmp_path: Path, capsys:
     ("error", "code"),
     [
         (CorridorError("x"), 1),
-        (OutputLostError("the map could not be saved"), 1),
         (InputError("x"), 65),
         (StorageError("x"), 74),
         (OSError(28, "No space left on device"), 74),
@@ -186,6 +189,28 @@ def test_each_error_has_its_exit_code(
 
     monkeypatch.setattr("service.config.load_config", fail)
     assert main(["run", str(good)]) == code
+
+
+def incomplete(*arguments: object, **more: object) -> Summary:
+    """A run whose map lacks something."""
+    nothing = Percentiles(0.0, 0.0, 0.0, 0.0)
+    return Summary(1.0, 30, 0, {}, nothing, nothing, {}, 0.0, {}, 0, failure="the map lacks loops")
+
+
+def test_a_run_that_lacks_something_ends_with_1_after_its_result(
+    good: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    for place in ("service.runtime.run.run", "service.demo.run"):
+        monkeypatch.setattr(place, incomplete)
+    laser = {"name": "front", "device": "sick_lms100", "endpoint": "tcp://127.0.0.1:2111"}
+    fakes = SimpleNamespace(endpoints=[laser], fault=str, left_out={})
+    monkeypatch.setattr("service.demo.simulators", lambda options, truth: nullcontext(fakes))
+    for command in (["run", str(good)], ["demo", "--no-web", "--out", str(good.parent / "out")]):
+        assert main([*command, "--json"]) == 1
+        out, err = capsys.readouterr()
+        facts = json.loads(out)
+        assert (facts["scans"], facts["failure"]) == (30, "the map lacks loops")
+        assert err.splitlines()[-1] == "corridor: the map lacks loops"
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
