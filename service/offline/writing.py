@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,11 +38,18 @@ def complete_files(out: Path) -> Iterator[Path]:
     """A path of the same name in a folder of its own: what is written there and beside it takes its place at
     the end, each file complete, at `out` and beside it. If the work is interrupted, all stays as it was.
 
-    The folder of `out` is made where it is missing. What is no ordinary file, as /dev/stdout, is written
-    directly. Raises StorageError for each OSError, also inside.
+    The folder of `out` is made where it is missing. A link is followed and its file written directly. A
+    device, a pipe or /dev/stdout gets the file of its name, and nothing is put beside it. Raises StorageError
+    for each OSError, also inside.
     """
     try:
-        if out.is_symlink() or (out.exists() and not out.is_file()):
+        if _is_stream(out):
+            with TemporaryDirectory(prefix="corridor-") as folder:
+                yield (path := Path(folder) / out.name)
+                with path.open("rb") as file, out.open("wb") as stream:
+                    shutil.copyfileobj(file, stream)
+            return
+        if out.is_symlink():
             yield out
             return
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -51,3 +59,10 @@ def complete_files(out: Path) -> Iterator[Path]:
                 made.replace(out.with_name(made.name))
     except OSError as error:
         raise StorageError(f"cannot write {out}: {words_of(error)}") from error
+
+
+def _is_stream(out: Path) -> bool:
+    """Also one of the links of /dev and /proc, such as /dev/stdout, to whatever the shell has opened."""
+    if out.is_symlink():
+        return out.absolute().parts[1] in ("dev", "proc")
+    return out.exists() and not out.is_file()

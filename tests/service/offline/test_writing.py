@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -6,7 +7,8 @@ from service.cli import main
 from service.errors import StorageError
 from service.offline.calibrate import calibrate as calibrate_module
 from service.offline.replay import replay as replay_module
-from service.offline.writing import refuse_unwritable_file, refuse_unwritable_folder
+from service.offline.writing import complete_files, refuse_unwritable_file, refuse_unwritable_folder
+from tests.in_background import started
 
 
 def test_a_file_where_a_folder_is_needed_is_named(tmp_path: Path):
@@ -31,3 +33,26 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(
     assert main(["replay", str(session), "--out", out]) == StorageError.exit_code
     assert main(["calibrate", str(session), "--out", out]) == StorageError.exit_code
     assert capsys.readouterr().err.count("file is no folder") == 2
+
+
+def test_nothing_is_put_beside_a_pipe(tmp_path: Path):
+    pipe, link = tmp_path / "pipe.png", tmp_path / "link.png"
+    os.mkfifo(pipe)
+    link.symlink_to("target.png")
+    reader = started(pipe.read_bytes)
+    for out in (pipe, link):
+        with complete_files(out) as path:
+            path.write_bytes(b"picture")
+            path.with_suffix(".pgw").write_bytes(b"world file")
+    assert reader.result(10.0) == (tmp_path / "target.png").read_bytes() == b"picture"
+    assert {path.name for path in tmp_path.iterdir()} == {"pipe.png", "link.png", "target.png", "link.pgw"}
+
+
+def test_stdout_is_a_stream_wherever_the_shell_sends_it(tmp_path: Path):
+    with (
+        (tmp_path / "out").open("w") as stdout,
+        complete_files(Path(f"/proc/self/fd/{stdout.fileno()}")) as path,
+    ):
+        path.write_text("picture")
+        assert path.parent != Path("/proc/self/fd")
+    assert (tmp_path / "out").read_text() == "picture"
