@@ -91,6 +91,7 @@ class Mapper:
         self._outputs: list[MapperOutput] = []
         self._tiles = TileStore()
         self._finished: FinishedGraph | None = None
+        self._has_scan = False
 
     @property
     def counters(self) -> Mapping[str, int]:
@@ -114,6 +115,7 @@ class Mapper:
         if self._finished is not None:
             raise UsageError("the mapping is finished; map on in a Mapper that begins in the saved map")
         self._refuse_unknown(frame)
+        self._has_scan |= isinstance(frame, LaserScan)
         newest = None
         for timed, _ in self._timing.take(frame):
             newest = self._map(timed) or newest
@@ -143,13 +145,15 @@ class Mapper:
         """Finish, and store the map as the next version in a folder; its number, from 1.
 
         `Map.load`, `corridor replay --map` and `map.load` of a config read the folder; nav2 reads map.yaml
-        and map.pgm in it. Raises InputError where nothing was mapped, UsageError in localisation, which
-        changes no map, and StorageError.
+        and map.pgm in it. Raises InputError where nothing was mapped, and before the first scan without
+        finishing; UsageError in localisation, which changes no map; StorageError.
         """
         if self._mapping.mode == "localization":
             raise UsageError("this mapper localises only; its map is stored already")
-        self.finish()
-        assert self._finished is not None
+        if self._has_scan:
+            self.finish()
+        if self._finished is None:
+            raise self._nothing_for(folder)
         saved = self._finished.update.saved
         number = save_map(
             Path(folder),
@@ -160,8 +164,11 @@ class Mapper:
             saved if isinstance(saved, SavedGraph) else None,
         )
         if number is None:
-            raise InputError(f"{folder}: nothing was mapped ({dict(self.counters)})")
+            raise self._nothing_for(folder)
         return number
+
+    def _nothing_for(self, folder: AnyPath) -> InputError:
+        return InputError(f"{folder}: nothing was mapped ({dict(self.counters)})")
 
     def _refuse_unknown(self, frame: Frame) -> None:
         if not isinstance(frame, Frame):

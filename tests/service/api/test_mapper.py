@@ -107,5 +107,7 @@ def test_nothing_goes_on_after_the_end_and_nothing_is_saved_of_nothing(tmp_path)
     mapper = corridor.Mapper(mountings=MOUNTINGS)
     with pytest.raises(corridor.InputError, match="nothing was mapped"):
         mapper.save(tmp_path / "map")
+    assert mapper.process(ROOM_SCAN) is not None
+    assert mapper.save(tmp_path / "map") == 1
     with pytest.raises(corridor.UsageError, match="finished"):
         mapper.process(ROOM_SCAN)
