@@ -102,8 +102,8 @@ def map_merge(folders: Sequence[Path], out: Path, pair: Sequence[float] | None) 
     pair   (x m, y m, theta deg) of a spot in the first map, then of the same spot in the second; None: where
            they overlap is searched
 
-    Raises InputError where a map cannot be read or overlaps too little, StorageError where `out` cannot be
-    written.
+    Raises InputError where a map cannot be read, overlaps too little or adds no key frame, StorageError where
+    `out` cannot be written.
     """
     if out.exists():
         raise InputError(f"{out} is there already; name a new folder by --out")
@@ -113,8 +113,11 @@ def map_merge(folders: Sequence[Path], out: Path, pair: Sequence[float] | None) 
     steps = []
     for other, folder in zip(stored[1:], folders[1:], strict=True):
         given = None if pair is None else _pose_between(np.array(pair))
+        second = _graph_of(other, folder)
+        if _keyframes(second) <= _keyframes(graph):
+            raise InputError(f"{folder}: all its key frames are in the maps named before it; leave it out")
         try:
-            merged = merge_graphs(graph, _graph_of(other, folder), shown.renderer, given)
+            merged = merge_graphs(graph, second, shown.renderer, given)
         except MergeError as error:
             raise InputError(
                 f"{folder} and what is merged so far: {error}; if they overlap, say how by --pair"
@@ -135,6 +138,13 @@ def _graph_of(stored: StoredMap, folder: Path) -> SavedGraph:
             f"{folder}: this map holds what was shown, not what it was made of; it cannot be merged"
         )
     return stored.graph
+
+
+def _keyframes(graph: SavedGraph) -> set[tuple[float, ...]]:
+    """What no edit changes of each: stamp, ns, and pose in the odom frame."""
+    return {
+        (stamp_ns, *odom) for stamp_ns, odom in zip(graph.stamp_ns.tolist(), graph.odom.tolist(), strict=True)
+    }
 
 
 def _pose_between(pair: np.ndarray) -> np.ndarray:

@@ -42,9 +42,14 @@ def test_every_version_is_verified_and_damage_named(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("graph", "out", "words"), [(graph_of(5), "a", "is there already"), (None, "b", "it cannot be merged")]
+    ("graph", "out", "words"),
+    [
+        (graph_of(5), "a", "is there already"),
+        (None, "b", "it cannot be merged"),
+        (graph_of(5), "b", "a: all its key frames are in the maps named before it"),
+    ],
 )
-def test_a_merge_overwrites_nothing_and_takes_no_picture(tmp_path, graph, out, words):
+def test_a_merge_overwrites_nothing_and_takes_no_picture_and_no_map_twice(tmp_path, graph, out, words):
     save_map(tmp_path / "a", TILES, 1, graph=graph)
     with pytest.raises(InputError, match=words):
         map_merge([tmp_path / "a", tmp_path / "a"], tmp_path / out, None)
