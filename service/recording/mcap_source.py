@@ -245,6 +245,7 @@ def open_session(paths: Sequence[Path], choice: Choice = NO_CHOICE) -> Session:
     for topic in [t for t in readable if t.encoding != "cdr"]:
         notes.append(f"passed over {topic}: encoded as {topic.encoding!r}; only ROS 2's cdr is read")
     readable = [topic for topic in readable if topic.encoding == "cdr"]
+    _refuse_two_types(recording, readable)
     ours = [topic for topic in readable if _is_ours(topic)] if _is_our_session(recording) else []
     vehicle = Vehicle(recording, choice, notes)
     chosen = vehicle.all_of(ours) if ours and choice.is_open else vehicle.choose(ours or readable)
@@ -269,6 +270,16 @@ def open_session(paths: Sequence[Path], choice: Choice = NO_CHOICE) -> Session:
         warnings=found.warnings,
         converters=found.converters,
     )
+
+
+def _refuse_two_types(recording: Readable, readable: Sequence[Topic]) -> None:
+    types = {topic.name: topic.type for topic in readable}
+    for topic in recording.topics:
+        if topic.count and topic.type != (other := types.get(topic.name, topic.type)):
+            raise InputError(
+                f"{recording.paths[0]}: {topic.name} holds messages of two types, {other} and {topic.type}; "
+                "what it is meant to be is not known. Record them under two names, or take one out"
+            )
 
 
 def _is_our_session(recording: Readable) -> bool:

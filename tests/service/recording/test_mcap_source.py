@@ -84,10 +84,10 @@ class Foreign:
         self._channels = {}
 
     def add(self, topic, type_name, payload, log_ns=T0_NS, encoding_name="cdr"):
-        if topic not in self._channels:
+        if (key := (topic, type_name)) not in self._channels:
             schema = self._writer.register_schema(type_name, "ros2msg", b"")
-            self._channels[topic] = self._writer.register_channel(topic, encoding_name, schema)
-        self._writer.add_message(self._channels[topic], log_ns, payload, log_ns)
+            self._channels[key] = self._writer.register_channel(topic, encoding_name, schema)
+        self._writer.add_message(self._channels[key], log_ns, payload, log_ns)
         return self
 
     def add_message(self, topic, message: Message):
@@ -446,6 +446,13 @@ def test_messages_that_are_no_use_are_counted_not_fatal(foreign):
     session = open_session(foreign.close())
     assert len(list(session.frames())) == 1
     assert session.counters == {"/scan": 1, "/scan unusable": 1}
+
+
+@pytest.mark.parametrize("other", [odometry(), Message("", encoding.STRING, T0_NS, T0_NS, b"\0\1\0\0")])
+def test_a_topic_of_two_types_is_refused_with_the_file(foreign, other: Message):
+    foreign.add_message("/scan", scan_message(0)).add_message("/scan", other)
+    with pytest.raises(InputError, match=rf"foreign\.mcap: /scan holds .* two types, .*{other.type}"):
+        open_session(foreign.close())
 
 
 def test_scans_in_another_encoding_are_refused(foreign):
