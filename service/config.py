@@ -7,16 +7,17 @@ them and turns what they refuse into `file:line:column: path: what is wrong, wha
 import difflib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel
 
 from drivers.antenna import antenna_of
 from drivers.wires import one_spelling
 from service.encoding import Message, decode_mountings, decode_upside_down, encode_tf_static
+from service.errors import ConfigError
 from service.geometry.se2 import SE2
 from service.located_model import add_fault, raise_faults, read_file, validated
 from service.located_yaml import Document, Fault, load
@@ -28,6 +29,9 @@ from service.recording.choice import Choice
 from service.sensor_kinds import SENSOR_KINDS
 from service.sinks.registry import SINKS
 from service.suggestion import suggest, unknown_key
+
+if TYPE_CHECKING:  # a live service reads no recording
+    from service.recording.mcap_reader import Readable
 
 NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")  # a chunk of a Zenoh key and a ROS 2 name at once
 NAME_RULE = "lower-case letters, digits and single _ in between, a letter first, at most 32 of them"
@@ -56,6 +60,9 @@ class ServiceConfig(ReplayConfig):
     vehicle: str
     sinks: Mapping[str, Any]  # section -> its config model, see service.sinks.registry
     text: str
+
+
+AnyConfig = TypeVar("AnyConfig", bound=ReplayConfig)
 
 
 def mountings(sensors: Mapping[str, Any]) -> dict[str, SE2]:
@@ -132,6 +139,25 @@ def parse_replay_config(text: str, file: str) -> ReplayConfig:
     values = _Reader(document).read_for_replay()
     raise_faults(document, file)
     return ReplayConfig(**values)
+
+
+def recorded_config(
+    recording: "Readable", parse: Callable[[str, str], AnyConfig], is_replaced: bool = False
+) -> AnyConfig | None:
+    """The config that a recording holds; None where it holds none.
+
+    parse         parse_config or parse_replay_config
+    is_replaced   another one is used: None where this one cannot be read. Else that raises ConfigError
+    """
+    text = recording.metadata.get("config", {}).get("yaml")
+    if text is None:
+        return None
+    try:
+        return parse(text, f"{recording.paths[0]}, recorded config")
+    except ConfigError as error:
+        if is_replaced:
+            return None
+        raise ConfigError([*error.faults, "give another config by --config"]) from error
 
 
 class _Reader:

@@ -16,8 +16,8 @@ import numpy as np
 
 from drivers.frames import ImuSample, LaserScan, OdometrySample
 from drivers.sensor_section import MAX_LATENCY_MS, MIN_LATENCY_MS
-from service.config import ServiceConfig, load_config, parse_config
-from service.errors import ConfigError, InputError, UsageError
+from service.config import ServiceConfig, load_config, parse_config, recorded_config
+from service.errors import InputError, UsageError
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.offline.calibrate.fit import Fit, fit_gyro, fit_lasers, fit_wheels
@@ -126,7 +126,7 @@ def calibrate(
     session = open_session(drives[0], choice if given is None else choice.over(given.replay))
     for warning in session.warnings:
         log.warning("%s", warning)
-    recorded = _recorded_config(session)
+    recorded = recorded_config(session.recording, parse_config, is_replaced=given is not None)
     config = given or recorded
     found = _Findings(recorded or config)
     lasers = sorted(session.scan_counts, key=lambda name: (-session.scan_counts[name], name))
@@ -159,16 +159,6 @@ def calibrate(
     found.leave_out_what_is_refused(config)
     seconds = float(first.stamp_ns[-1] - first.stamp_ns[0]) * 1e-9
     return Calibration(str(paths[0]), reference, seconds, found.sensors, *patched(found.changes, config))
-
-
-def _recorded_config(session: Session) -> ServiceConfig | None:
-    text = session.metadata.get("config", {}).get("yaml")
-    if text is None:
-        return None
-    try:
-        return parse_config(text, "recorded config")
-    except ConfigError:
-        return None  # of another version: what was configured is not known
 
 
 def _tracks(

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from service.config import ServiceConfig, load_config, parse_config, tf_static
+from service.config import ServiceConfig, load_config, parse_config, recorded_config, tf_static
 from service.encoding import LogClock, Message, decode_raw, encode_frame
 from service.errors import InputError
 from service.offline.importing.session_file import write_messages
@@ -51,7 +51,9 @@ def remake_frames(
             f"{paths[0]}: no raw bytes to run through the drivers (no topic /<sensor>/raw); they are there "
             "where its config says recording: {raw: true}; replay it without --from-raw"
         )
-    service = _config(recording, config)
+    service = recorded_config(recording, parse_config) if config is None else load_config(config)
+    if service is None:
+        raise InputError(f"{paths[0]}: holds no config of its sensors; give one by --config")
     names = [name for name in service.sensors if name in topics]
     for name in service.sensors.keys() - topics.keys():
         log.warning("%s: no /%s/raw, so %s is left out", paths[0], name, name)
@@ -70,15 +72,6 @@ def remake_frames(
     }
     _tell(paths[0], remade)
     return remade
-
-
-def _config(recording: Recording, config: Path | None) -> ServiceConfig:
-    if config is not None:
-        return load_config(config)
-    text = recording.metadata.get("config", {}).get("yaml")
-    if text is None:
-        raise InputError(f"{recording.paths[0]}: holds no config of its sensors; give one by --config")
-    return parse_config(text, "recorded config")
 
 
 def _messages(

@@ -13,6 +13,7 @@ from service.config import (
     mapped_lasers,
     mountings,
     parse_replay_config,
+    recorded_config,
 )
 from service.errors import ConfigError, InputError, UsageError
 from service.geometry.se2 import SE2
@@ -82,8 +83,9 @@ def choice_of(options: ReplayOptions) -> Choice:
 
 def set_up(session: Session, options: ReplayOptions) -> ReplaySetup:
     """Raises ConfigError where the config cannot be used, and InputError where it maps no laser of these."""
-    recorded = _recorded_config(session, is_needed=options.config is None)
-    config = recorded if options.config is None else load_replay_config(options.config)
+    given = None if options.config is None else load_replay_config(options.config)
+    recorded = recorded_config(session.recording, parse_replay_config, is_replaced=given is not None)
+    config = given or recorded
     mapping = _mapping(config, options)
     configured = mountings(config.sensors) if config is not None else {}
     poses = {name: configured.get(name, pose) for name, pose in session.mountings.items()}
@@ -136,21 +138,6 @@ def _begins_as_live(begun_in: MapVersion | None, options: ReplayOptions, version
     if begun_in is None or options.map is None:
         return begun_in is None and options.map is None
     return version == begun_in.number and has_version(options.map, version, begun_in.digest)
-
-
-def _recorded_config(session: Session, is_needed: bool) -> ReplayConfig | None:
-    """None where the recording holds none, or none that this version reads and --config replaces it."""
-    text = session.metadata.get("config", {}).get("yaml")
-    if text is None:
-        return None
-    try:
-        return parse_replay_config(text, "recorded config")
-    except ConfigError as error:
-        if not is_needed:
-            return None
-        raise ConfigError(
-            [*error.faults, "the recorded config is of another version; give one by --config"]
-        ) from error
 
 
 def _mapping(config: ReplayConfig | None, options: ReplayOptions) -> MappingConfig:

@@ -11,7 +11,7 @@ import yaml
 
 from service.cli import main
 from service.config import load_config
-from service.errors import UsageError
+from service.errors import ConfigError, UsageError
 from service.geometry.se2 import SE2
 from service.offline.calibrate import calibrate
 from service.offline.calibrate.tracks import LaserMapping
@@ -157,6 +157,15 @@ def test_what_the_config_refuses_is_left_out_and_reported(session, config, capsy
     (of_base,), (of_front,) = notes["base"], notes["front"]
     assert "the config's base (irobot_create) does not take it: left_scale 2.0" in of_base
     assert "the config's front (irobot_create) does not take it: unknown key mounting" in of_front
+
+
+def test_a_recorded_config_that_cannot_be_read_is_refused_unless_another_is_given(
+    record_drive, config, capsys
+):
+    drive = str(record_drive(config="sensors: {}"))
+    assert main(["calibrate", drive]) == ConfigError.exit_code
+    assert ".mcap, recorded config:1:" in capsys.readouterr().err
+    assert main(["calibrate", drive, "--config", str(config)]) != ConfigError.exit_code
 
 
 def test_without_a_config_there_is_a_patch_of_what_the_recording_names(session, capsys):
