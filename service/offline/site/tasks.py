@@ -53,7 +53,8 @@ class Find(_OfSession):
 class FindLoops(_OfSession):
     """Loops from other sessions to one, accepted as in the mapper: outcome `loops`, a list for each of the
     others, their key frames counted in either graph. The session lies within 1.5 m and 0.2 rad of its pose in
-    the frame of the others.
+    the frame of the others. Only the graph of all sessions tells which loops the rest contradicts: here the
+    loops between the others are missing, so one of these may be bent.
     """
 
     def work(self) -> Done:
@@ -61,7 +62,6 @@ class FindLoops(_OfSession):
         back_end = LoopBackEnd(LoopsConfig(search_every_m=QUERY_EVERY_M), None, whole)
         back_end.begin_session_at(begins[-1], is_across=True)
         back_end.search_again()
-        back_end.solve()  # without those that the rest contradicts
         loops: list[list[Loop]] = [[] for _ in self.sites]
         for loop in back_end.loops.accepted:
             of = bisect_right(begins, loop.of) - 1
