@@ -247,15 +247,14 @@ class Estimator:
         noise, turn_noise = self.filter["noise"].tolist()
         is_measured = bool(state["increment"]["has_odometry"]) and max(noise, turn_noise) <= FAULT_NOISE
         self._consistent.switch(self._record, scan_alone(is_measured, noise))
-        local = state["covariance"][LOCAL_BLOCK, LOCAL_BLOCK].copy()
-        gain = state["covariance"][TWIST : TWIST + 3, LOCAL_BLOCK] @ np.linalg.inv(local)
+        covariance = state["covariance"]
         pose = SE2(*state["pose"].tolist())
         return Prediction(
             pose_odom_base=pose,
             twist_base=self._twist(),
             covariance=self._consistent.pose_covariance(self._record),
-            local_covariance=local,
-            twist_gain=gain,
+            local_covariance=covariance[LOCAL_BLOCK, LOCAL_BLOCK].copy(),
+            twist_covariance=covariance[TWIST : TWIST + 3, LOCAL_BLOCK].copy(),
             elapsed_s=self._elapsed_s,
             travel_m=math.hypot(pose.x_m - before.x_m, pose.y_m - before.y_m)
             + NEW_GROUND_M * abs(wrap_angle(pose.theta_rad - before.theta_rad)),

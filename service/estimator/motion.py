@@ -38,7 +38,7 @@ class Prediction(Motion):
     """Motion predicted for a scan, with what the matcher needs."""
 
     local_covariance: Matrix  # (3, 3) of the pose against the local map, base axes
-    twist_gain: Matrix  # (3, 3) 1/s: correction of the twist per correction of the pose
+    twist_covariance: Matrix  # (3, 3) of twist (rows) and pose against the local map, base axes
     elapsed_s: float  # since the last scan; 0: there was none
     travel_m: float  # since the last scan
     is_measured: bool  # odometry or an IMU measured the motion since then; else constant velocity
@@ -59,6 +59,12 @@ class Prediction(Motion):
     def is_scan_alone(self) -> bool:
         """Whether only scans measure the motion; see scan_alone."""
         return scan_alone(self.is_measured, self.odometry_noise)
+
+    @property
+    def twist_gain(self) -> Matrix:
+        """(3, 3) 1/s: correction of the twist per correction of the pose."""
+        gain: Matrix = self.twist_covariance @ np.linalg.inv(self.local_covariance)
+        return gain
 
     def after(self, earlier: "Prediction | None") -> "Prediction":
         """The prediction since the scan before that of an earlier one, whose scan was not matched."""
@@ -89,9 +95,7 @@ class Prediction(Motion):
 
     def with_added_covariance(self, added: Matrix) -> "Prediction":
         """The prediction with a covariance (3, 3) added to the pose that is uncorrelated with the twist."""
-        covariance = self.local_covariance + added
-        gain = self.twist_gain @ self.local_covariance @ np.linalg.inv(covariance)
-        return replace(self, local_covariance=covariance, twist_gain=gain)
+        return replace(self, local_covariance=self.local_covariance + added)
 
     def twist_at(self, pose_odom_base: SE2) -> tuple[float, float, float]:
         """Twist if the base is at this pose: m/s forward, m/s left, rad/s."""
@@ -114,7 +118,7 @@ class Measurement(NamedTuple):
                       the pose is the prediction
     prior_weight      weight of the prediction in the match; below 1 it was far off
     gap               (3, 3) covariance to add to the prediction, base axes, where the scan was matched to
-                      another segment of the map than the scans before; None: the same segment
+                      another segment of the map than the scans before, or the map contradicts it; else None
     segment_noise     (3, 3) covariance, base axes, by which the segment may have moved since the scan before,
                       where nothing else measured the motion; None: it stands still
     is_joined         False: pose and covariance are those of the scan alone; the motion model fuses them with

@@ -38,7 +38,7 @@ class Prior(NamedTuple):
     pose: Float64_1D  # (3,) m, m, rad in the frame of the grid
     twist: Float64_1D  # (3,) m/s forward, m/s left, rad/s
     covariance: Float64_2D  # (3, 3) of the pose against the map
-    twist_gain: Float64_2D  # (3, 3) correction of the twist per correction of the pose, 1/s
+    twist_covariance: Float64_2D  # (3, 3) of twist (rows) and pose
 
 
 class MatchSettings(NamedTuple):
@@ -73,27 +73,31 @@ class MatchResult(NamedTuple):
 
 
 @inner_kernel
-def learn_twist(prior, pose, weight, twist):
+def learn_twist(prior, information, pose, weight, twist):
     """Twist at the matched pose, by the correlation of pose and twist in the prior.
 
-    prior   Prior
-    pose    (3,) float64   matched
-    weight  float          of the prior; the correction of the twist is scaled by it
-    twist   (3,) float64   out
+    prior         Prior
+    information   (3, 3) float64   of the predicted pose, in the axes of the grid
+    pose          (3,)   float64   matched
+    weight        float            of the prior; the correction of the twist is scaled by it
+    twist         (3,)   float64   out
     """
-    c = math.cos(prior.pose[2])
-    s = math.sin(prior.pose[2])
-    dx = weight * (pose[0] - prior.pose[0])
-    dy = weight * (pose[1] - prior.pose[1])
-    forward = c * dx + s * dy
-    left = -s * dx + c * dy
-    turn = weight * wrap(pose[2] - prior.pose[2])
+    c = weight * math.cos(prior.pose[2])
+    s = weight * math.sin(prior.pose[2])
+    dx = pose[0] - prior.pose[0]
+    dy = pose[1] - prior.pose[1]
+    dtheta = wrap(pose[2] - prior.pose[2])
+    x = information[0, 0] * dx + information[0, 1] * dy + information[0, 2] * dtheta
+    y = information[1, 0] * dx + information[1, 1] * dy + information[1, 2] * dtheta
+    forward = c * x + s * y
+    left = -s * x + c * y
+    turn = weight * (information[2, 0] * dx + information[2, 1] * dy + information[2, 2] * dtheta)
     for i in range(3):
         twist[i] = (
             prior.twist[i]
-            + prior.twist_gain[i, 0] * forward
-            + prior.twist_gain[i, 1] * left
-            + prior.twist_gain[i, 2] * turn
+            + prior.twist_covariance[i, 0] * forward
+            + prior.twist_covariance[i, 1] * left
+            + prior.twist_covariance[i, 2] * turn
         )
 
 
@@ -265,7 +269,7 @@ def align_on_surfels(problem, target, tolerance_factor, doubt_inlier_ratio, alig
     last = pose.copy()
     for k in range(settings.iterations + 1):
         if moves and k > 0:
-            learn_twist(prior, pose, weight, twist)
+            learn_twist(prior, prior_information, pose, weight, twist)
             deskew_points(returns.xy_raw, returns.beam_time_s, twist, xy_base)
         copy_vector(pose, evaluated)
         find_surfels_cached(
@@ -418,7 +422,7 @@ def result_of(problem, matched, weight, fit):
     """MatchResult of an Alignment; weight is that of its prior, fit the one by full cells."""
     prior, pose = problem.prior, matched.pose
     twist = np.empty(3)
-    learn_twist(prior, pose, weight, twist)
+    learn_twist(prior, problem.prior_information, pose, weight, twist)
     least, direction = weakest_direction(matched.less_chance)
     covariance, joined = np.zeros((3, 3)), np.empty((3, 3))
     of_scan, of_prior, less_chance = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))

@@ -90,7 +90,7 @@ def brought_back(
             covariance=wide,
             local_covariance=wide,
             elapsed_s=0.02,
-            twist_gain=np.zeros((3, 3)),
+            twist_covariance=np.zeros((3, 3)),
             travel_m=0.0,
             is_measured=False,
         )

@@ -42,7 +42,7 @@ class MountingCheck:
         self.is_right = True
         self.fault = NO_REASON  # the offset, once it is known
         self._covariance: Matrix | None = None  # (3, 3) of `applied`, base axes; None: nothing is corrected
-        self._applied = np.zeros(3)  # m, m, rad: correction of the configured mounting, base axes
+        self.applied = SE2()  # correction of the configured mounting, base axes
         self._is_further = False  # another laser began the map
         self._advantage = 0.0  # sum over batches
         self._offset = np.zeros(3)  # of the sensor from its configured mounting, base axes: m, m, rad
@@ -51,11 +51,6 @@ class MountingCheck:
     def begin(self) -> None:
         """Start the comparison: another laser has begun the map."""
         self.is_right, self._is_further = False, True
-
-    @property
-    def applied(self) -> SE2:
-        """Correction of the configured mounting, base axes."""
-        return SE2.exp(*self._applied.tolist())
 
     def refine(self, predicted: Prediction, measured: Measurement) -> bool:
         """Add a scan right after one of another laser; whether `applied` was corrected."""
@@ -112,7 +107,7 @@ class MountingCheck:
         """Correct the mounting by a batch, within the tolerance; whether it was corrected."""
         batch = self._batch()
         off, covariance = _robust_mean(*batch, WEAK)
-        if _chi2(self._applied + off, covariance + MOUNTING_TOLERANCE) > CHI2_999_OF_3:
+        if _chi2(np.array(self.applied.log()) + off, covariance + MOUNTING_TOLERANCE) > CHI2_999_OF_3:
             self._doubt(off)
             return False
         if self._covariance is None:
@@ -121,8 +116,12 @@ class MountingCheck:
             self._covariance = MOUNTING_TOLERANCE
         prior = np.asarray(np.linalg.inv(self._covariance), np.float64)
         correction, self._covariance = _robust_mean(*batch, prior)
-        self._applied = self._applied + correction
+        self._correct(correction)
         return True
+
+    def _correct(self, by: Matrix) -> None:
+        """by   (3,) m, m, rad: twist times duration"""
+        self.applied = SE2.exp(*(self.applied.log() + by).tolist())
 
     def _doubt(self, offset: Matrix) -> None:
         """Compare a further laser with the map again: it was knocked, or the first one was."""
@@ -157,9 +156,9 @@ class MountingCheck:
 def centre(checks: Iterable[MountingCheck]) -> None:
     """Shift the corrections of all mapped lasers to a mean of 0: no mounting is better than another."""
     mapped = [check for check in checks if check.is_right]
-    mean = np.mean([check._applied for check in mapped], axis=0)
+    mean = np.mean([check.applied.log() for check in mapped], axis=0)
     for check in mapped:
-        check._applied = check._applied - mean
+        check._correct(-mean)
 
 
 def _chi2(offset: Matrix, covariance: Matrix) -> float:

@@ -66,6 +66,8 @@ class OdometryMounting:
 
     def add_odometry(self, sample: OdometrySample) -> None:
         """Add the next sample, in the order of stamps."""
+        if self._samples and sample.stamp_ns - self._samples[-1][0] > PAUSE_NS:
+            self._last = None  # the motion in the pause is unknown
         self._samples.append((sample.stamp_ns, SE2(sample.x_m, sample.y_m, sample.theta_rad)))
         if self._waiting is not None and sample.stamp_ns >= self._waiting[0]:
             stamp_ns, pose = self._waiting
@@ -79,22 +81,20 @@ class OdometryMounting:
         if stamp_ns > self._samples[-1][0]:
             self._waiting = stamp_ns, pose_odom_base
             return
-        odometry = self._odometry_at(stamp_ns)
-        if odometry is None:
-            self._last = None
-            return
         last = self._last
-        if last is None or stamp_ns - last[0] > LONGEST_STEP_NS:
-            self._last = stamp_ns, pose_odom_base, odometry
-            return
+        if last is not None and stamp_ns - last[0] > LONGEST_STEP_NS:
+            last = None
         step_m = MOUNTING_STEP_M / 2 ** max(0, MIN_STEPS - self._count)
-        if not (
+        if last is not None and not (
             pose_odom_base.is_step_from(last[1], step_m, MOUNTING_STEP_RAD)
-            or odometry.is_step_from(last[2], step_m, math.inf)
+            or self._samples[-1][1].is_step_from(last[2], step_m, math.inf)
         ):
             return
+        odometry = self._odometry_at(stamp_ns)
+        self._last = None if odometry is None else (stamp_ns, pose_odom_base, odometry)
+        if last is None or odometry is None:
+            return
         matched, driven = last[1].inverse() @ pose_odom_base, last[2].inverse() @ odometry
-        self._last = stamp_ns, pose_odom_base, odometry
         self._steps.append(
             (matched.x_m, matched.y_m, matched.theta_rad, driven.x_m, driven.y_m, driven.theta_rad)
         )

@@ -421,5 +421,5 @@ def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
             added += predicted.segment_covariance
         predicted = predicted.with_added_covariance(added)
     return Prior(
-        np.array(pose), np.array(predicted.twist_base), predicted.local_covariance, predicted.twist_gain
+        np.array(pose), np.array(predicted.twist_base), predicted.local_covariance, predicted.twist_covariance
     )

@@ -67,7 +67,7 @@ def room_grid(cell_m: float = 0.1, beside_m: float = 0.0) -> SurfelGrid:
 
 
 def prior_at(pose: tuple[float, float, float], sigma: float = 0.1, **changes: object) -> Prior:
-    prior = Prior(np.array(pose), np.zeros(3), sigma**2 * np.eye(3), 10.0 * np.eye(3))
+    prior = Prior(np.array(pose), np.zeros(3), sigma**2 * np.eye(3), 10.0 * sigma**2 * np.eye(3))
     return prior._replace(**changes)
 
 

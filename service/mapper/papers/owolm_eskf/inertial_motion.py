@@ -123,7 +123,7 @@ class InertialMotion:
             twist_base=self._twist(),
             covariance=self.filters.covariance(),
             local_covariance=self.filters.best.pose_covariance(),
-            twist_gain=np.zeros((3, 3)),  # the filter estimates the speed itself
+            twist_covariance=np.zeros((3, 3)),  # the filter estimates the speed itself
             elapsed_s=elapsed_s,
             travel_m=math.dist((before.x_m, before.y_m), (pose.x_m, pose.y_m)),
             is_measured=self._is_inertial or wheels is not None,

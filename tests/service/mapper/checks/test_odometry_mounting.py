@@ -94,7 +94,7 @@ def test_noise_and_tolerances_of_a_mounting_make_no_fault(offset: SE2, seconds: 
     assert check.fault == ""
 
 
-@pytest.mark.parametrize("seed", [0, 2, 3])
+@pytest.mark.parametrize("seed", [0, 1, 3])
 def test_few_steps_after_another_mounting_do_not_forget_the_noise(seed: int):
     """Three times the assumed one, so that the newest steps now and then seem to show another mounting."""
     assert drive(SE2(), 120.0, OdometryMounting(), noise_m=0.03, seed=seed) == {""}

@@ -26,7 +26,7 @@ def hardly_known(pose: SE2) -> Prediction:
         twist_base=STILL,
         covariance=prior.covariance,
         local_covariance=prior.covariance,
-        twist_gain=np.zeros((3, 3)),
+        twist_covariance=np.zeros((3, 3)),
         elapsed_s=1.0,
         travel_m=1.0,
         is_measured=False,

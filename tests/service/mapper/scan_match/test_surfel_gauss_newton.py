@@ -24,7 +24,11 @@ def mapped(points: Points) -> SurfelSubmaps:
 
 
 def predicted(pose: SE2, sigma: float = 0.05, is_measured: bool = True) -> Prediction:
-    moving = {"twist_base": (0.1, 0.0, 0.0), "twist_gain": 10.0 * np.eye(3), "travel_m": 0.01}
+    moving = {
+        "twist_base": (0.1, 0.0, 0.0),
+        "twist_covariance": 10.0 * sigma**2 * np.eye(3),
+        "travel_m": 0.01,
+    }
     return prediction(pose, np.diag([sigma**2] * 3), is_measured=is_measured, **moving)
 
 
