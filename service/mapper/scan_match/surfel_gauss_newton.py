@@ -40,7 +40,7 @@ from service.mapper.matchers.window_search import (
     search_around,
 )
 from service.mapper.scan_match.attempt import Aligned, Attempt, chi2_of, turned_about
-from service.mapper.scan_match.inertia import SteadyMotion
+from service.mapper.scan_match.inertia import SteadyMotion, velocity_variance
 from service.mapper.scan_match.moving_scene import MovingScene
 from service.mapper.scan_match.posts import Posts, posts_of
 from service.mapper.scan_match.range_bias import RangeBias
@@ -56,6 +56,7 @@ MAX_REPEATS = 100.0  # scans with the same noise of the map, at standstill
 GAUSSIAN = 1e9  # degrees of freedom of a Gaussian error
 LESS_LIKELY_CHI2 = 2.0 * math.log(10.0)  # a tenth as likely by the prediction
 USUAL_SCANS = 50  # over which the usual inlier ratio is averaged
+WRONG_MOTION = 0.01  # probability that odometry is wrong where the map contradicts a scan near its prediction
 DOUBT_RATIO = 0.9  # factor on the usual inlier ratio, below which other initial poses are tried
 
 
@@ -225,12 +226,15 @@ class SurfelGaussNewton:
         return self._confirmation.confirms(aligned.pose, attempt.predicted.pose_odom_base)
 
     def _as_match(self, aligned: Aligned, attempt: Attempt, state: State, reason: Reason) -> Match:
-        result, pose, gap = aligned.result, aligned.pose, None
+        result, pose, gap, covariance = aligned.result, aligned.pose, None, aligned.result.covariance
         if state != "lost" and self._gap is not None:
             gap = attempt.prior.covariance - attempt.predicted.local_covariance
-        measured = Measurement(pose, result.covariance, result.information, result.prior_weight, gap)
+        elif state != "lost" and aligned.is_moving is None and aligned.is_contradicted:
+            gap = _doubt(attempt.predicted)
+            covariance = covariance + gap
+        measured = Measurement(pose, covariance, result.information, result.prior_weight, gap)
         forward, left, turn = result.twist.tolist()
-        motion = Motion(pose, (forward, left, turn), result.covariance)
+        motion = Motion(pose, (forward, left, turn), covariance)
         moved_m = attempt.points.xy_base - attempt.unmoved.xy_base
         deskewed = attempt.unmoved._replace(xy_base=aligned.xy_base - moved_m)
         number, is_moving = aligned.submap.number, aligned.is_moving
@@ -403,6 +407,15 @@ def _chance_chi2(predicted: Prediction) -> float:
     """Squared sigmas of chance that are subtracted from the information of a scan; [22]."""
     travel_m = max(predicted.travel_m, CHANCE_M / MAX_CHANCE_SCANS)
     return 2.0 * math.log(max(CHANCE_M / travel_m, 1.0))
+
+
+def _doubt(predicted: Prediction) -> Matrix:
+    """(3, 3) covariance, base axes, of a pose near the prediction that the map contradicts; [37].
+
+    Either the place has changed, or odometry is wrong and the motion unknown, but for the vehicle's inertia.
+    """
+    way_m2, turn_rad2 = velocity_variance(min(predicted.elapsed_s, GAP_S))
+    return WRONG_MOTION * np.diag([way_m2, way_m2, turn_rad2])
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:

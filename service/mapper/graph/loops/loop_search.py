@@ -18,7 +18,7 @@ from service.mapper.graph.model.candidate_submap import (
 )
 from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import Loop, far_from_loops, loop_of
-from service.mapper.graph.model.path_drift import PathDrift, lengths_from
+from service.mapper.graph.model.path_drift import PathDrift, drift_from
 from service.mapper.graph.model.point_clouds import Fit, PointCloud
 from service.mapper.judgement import MIN_AGREEMENT_FAR
 from service.mapper.loop_evidence import IN_FREE_SPACE, TOO_FAR, TOO_FEW_POINTS
@@ -133,9 +133,15 @@ class LoopSearch:
         config, count = self._config, self._keyframes.count
         if window is not None:
             return np.full(count, window[0]), np.full(count, window[1])
-        length_m = lengths_from(self._keyframes, self._loops.accepted, reference)
-        reach_m = np.minimum(LOOP_WINDOW_M + REACH_SIGMAS * config.drift * length_m, MAX_WINDOW_M)
-        reach_rad = np.minimum(WINDOW_RAD + REACH_SIGMAS * config.drift_radpm * length_m, MAX_WINDOW_RAD)
+        drift_m, drift_rad = drift_from(
+            self._keyframes,
+            self._loops.accepted,
+            reference,
+            config.keyframe_distance_m,
+            (config.drift, config.drift_radpm),
+        )
+        reach_m = np.minimum(LOOP_WINDOW_M + REACH_SIGMAS * drift_m, MAX_WINDOW_M)
+        reach_rad = np.minimum(WINDOW_RAD + REACH_SIGMAS * drift_rad, MAX_WINDOW_RAD)
         return reach_m, reach_rad
 
     def _is_good(self, fit: Fit) -> bool:

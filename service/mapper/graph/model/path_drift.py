@@ -11,7 +11,7 @@ from service.geometry.poses import Floats
 from service.kernels.loops import path_lengths
 from service.mapper.graph.model.keyframe_list import KeyframeList
 from service.mapper.graph.model.loops import Loop
-from service.mapper.graph.model.odometry_edges import lost_steps, odometry_edges
+from service.mapper.graph.model.odometry_edges import odometry_edges
 from service.mapper.graph.model.pose_graph import UNKNOWN_COVARIANCE
 from service.mapper.known_pose import carried
 
@@ -24,7 +24,6 @@ UNMODELLED_SHARE = 0.003
 # A single loop is accepted if it agrees with odometry of this uncertainty: a wrong one would move the map by
 # no more than the drift, and places that look alike are more than 3.5 sigma apart.
 NEAR_SIGMA_M = 0.3
-LOST_M = 60.0  # path length added for an unmatched step in loop search
 LOOP_M = 1.0  # path length added for passing a loop
 
 
@@ -99,12 +98,27 @@ class PathDrift:
         self._covariance[~is_known] = UNKNOWN_COVARIANCE
 
 
-def lengths_from(keyframes: KeyframeList, loops: Sequence[Loop], k: int) -> Floats:
-    """(N,) m of the shortest path from key frame k to each, over odometry and loops."""
-    path_length_m = keyframes.path_length_m
-    length_m = np.empty(len(path_length_m))
+def drift_from(
+    keyframes: KeyframeList, loops: Sequence[Loop], k: int, step_m: float, drift: tuple[float, float]
+) -> tuple[Floats, Floats]:
+    """(N,) m and (N,) rad: sigma of the pose of key frame k against each, over odometry and loops.
+
+    A drift (m, rad per m of the shortest path) and the errors of the steps on the path of least variance.
+
+    step_m   path length after which a key frame is due
+    """
+    steps = odometry_edges(keyframes, step_m).covariance
+    turn_rad2 = steps[:, 2, 2]
+    away_m = np.hypot(*(keyframes.map[1:, :2] - keyframes.map[k, :2]).T)
+    way_m2 = np.maximum(steps[:, 0, 0], steps[:, 1, 1]) + turn_rad2 * away_m**2
     of = np.array([loop.of for loop in loops], np.int64)
     to = np.array([loop.to for loop in loops], np.int64)
-    step_m = np.diff(path_length_m) + LOST_M * lost_steps(keyframes)
-    path_lengths(np.append(step_m, 0.0), of, to, LOOP_M, k, length_m)
-    return length_m
+    length_m, sum_m2, sum_rad2 = np.empty((3, keyframes.count))
+    for of_step, of_loop, sums in (
+        (np.diff(keyframes.path_length_m), LOOP_M, length_m),
+        (way_m2, 0.0, sum_m2),
+        (turn_rad2, 0.0, sum_rad2),
+    ):
+        path_lengths(np.append(of_step, 0.0), of, to, of_loop, k, sums)
+    drift_m, drift_radpm = drift
+    return np.hypot(drift_m * length_m, np.sqrt(sum_m2)), np.hypot(drift_radpm * length_m, np.sqrt(sum_rad2))

@@ -11,7 +11,13 @@ from service.geometry.se2 import SE2
 from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd
 from service.mapper.graph.model.keyframe_list import LoopsConfig
 from service.mapper.graph.model.loops import Loop
-from service.mapper.graph.model.path_drift import MAX_DRIFT_CHI2, NEAR_SIGMA_M, UNMODELLED_SHARE, PathDrift
+from service.mapper.graph.model.path_drift import (
+    MAX_DRIFT_CHI2,
+    NEAR_SIGMA_M,
+    UNMODELLED_SHARE,
+    PathDrift,
+    drift_from,
+)
 from service.mapper.loop_evidence import TOO_FAR
 from tests.service.mapper.graph.key_frames import key_frame
 from tests.service.mapper.graph.loops.rings import key_frames
@@ -107,3 +113,23 @@ def test_a_similar_aisle_beside_it_makes_no_loop(is_known: bool):
     assert result.saved is not None
     assert result.saved.refused is not None
     assert (TOO_FAR in result.saved.refused.reason) == is_known
+
+
+def test_an_uncertain_step_widens_the_search_beyond_it() -> None:
+    """A heading known to 0.1 rad half-way: 5 m on, the position is known to 0.5 m."""
+    back_end = LoopBackEnd(LoopsConfig(), None)
+    sure, doubtful = np.diag([1e-4, 1e-4, 1e-6]), np.diag([1e-4, 1e-4, 1e-2])
+    back_end.work(
+        Batch(
+            [
+                key_frame(k * 10**8, SE2(STEP_M * k), covariance=doubtful if k == STEPS // 2 else sure)
+                for k in range(STEPS + 1)
+            ]
+        )
+    )
+    shortcut = loop(0.0, 0.0, 0.0)
+    for loops, sigma_m, sigma_rad in (([], 0.5, 0.1), ([shortcut], 0.01, 0.002)):
+        off_m, off_rad = drift_from(back_end.keyframes, loops, STEPS, STEP_M, (0.01, 0.0015))
+        assert off_m[0] == pytest.approx(sigma_m, rel=0.1)
+        assert off_rad[0] == pytest.approx(sigma_rad, abs=0.002)
+    assert off_m[STEPS] == off_rad[STEPS] == 0.0
