@@ -10,7 +10,7 @@ from importlib import import_module
 from service.cli.arguments import new_parser
 from service.errors import CalledOffError, CorridorError, StorageError
 from service.interruption import INTERRUPTED
-from service.log_format import set_up_logging
+from service.log_format import printable, set_up_logging
 
 log = logging.getLogger(__name__)
 
@@ -68,14 +68,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except CalledOffError:
         raise  # threads still compile: whoever runs the process ends it
     except CorridorError as error:
-        print(f"corridor: {error}", file=sys.stderr)
+        print(printable(f"corridor: {error}"), file=sys.stderr)
         return error.exit_code
     except BrokenPipeError:  # `corridor ... | head`
         _give_up_stdout()
         return CorridorError.exit_code
     except OSError as error:
         words = f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
-        print(f"corridor: {words}", file=sys.stderr)
+        print(printable(f"corridor: {words}"), file=sys.stderr)
         return StorageError.exit_code
     except KeyboardInterrupt:
         return INTERRUPTED

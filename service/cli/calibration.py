@@ -6,6 +6,7 @@ from dataclasses import asdict
 
 from service.cli.console import progress
 from service.compile.cache import ensure_cache_dir
+from service.log_format import printable
 
 
 def calibrate(parsed: argparse.Namespace) -> int:
@@ -24,5 +25,5 @@ def calibrate(parsed: argparse.Namespace) -> int:
     if parsed.out is not None:
         with complete_files(parsed.out) as path:
             path.write_text(done.config or done.patch, encoding="utf-8")
-    print(json.dumps(asdict(done), allow_nan=False) if parsed.json else done)
+    print(json.dumps(asdict(done), allow_nan=False) if parsed.json else printable(done))
     return 0

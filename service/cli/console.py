@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, TextIO
 
+from service.log_format import printable
+
 if TYPE_CHECKING:  # it imports numba
     from service.compile.warm_up import KernelProgress
 
@@ -26,7 +28,7 @@ def print_result(result: dict[str, Any], as_json: bool) -> None:
     if as_json:
         print(json.dumps(result, allow_nan=False))
     else:
-        print("\n".join(_lines(result, "")))
+        print(printable("\n".join(_lines(result, ""))))
 
 
 def print_report(report: Any, as_json: bool) -> None:
@@ -34,7 +36,7 @@ def print_report(report: Any, as_json: bool) -> None:
     if as_json:
         print(json.dumps(_as_json(report), allow_nan=False, default=str))
     else:
-        print(report)
+        print(printable(report))
 
 
 def _as_json(value: Any) -> Any:
@@ -201,7 +203,7 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
             cell.ljust(width) if column == 0 or not _is_figure(rows[-1][column]) else cell.rjust(width)
             for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
-        print("  ".join(cells).rstrip())
+        print(printable("  ".join(cells).rstrip()))
 
 
 def _is_figure(cell: str) -> bool:

@@ -14,6 +14,7 @@ from service.cli.console import print_result, progress
 from service.cli.map_names import map_and_version
 from service.cli.numbers import positive
 from service.errors import CorridorError
+from service.log_format import printable
 
 if TYPE_CHECKING:  # they take long to import
     import zenoh
@@ -116,7 +117,7 @@ def _status(parsed: argparse.Namespace, session: "zenoh.Session") -> int:
     if parsed.json:
         print_result({"vehicles": [vehicle.as_dict() for vehicle in vehicles]}, as_json=True)
     else:
-        print("\n".join(map(str, vehicles)) or "no vehicle at this router")
+        print(printable("\n".join(map(str, vehicles)) or "no vehicle at this router"))
     return 0 if all(vehicle.is_well for vehicle in vehicles) else 1
 
 
@@ -124,7 +125,8 @@ def _watch(parsed: argparse.Namespace, session: "zenoh.Session") -> int:
     from service.fleet.watch import Watch
 
     def show(vehicle: "Vehicle") -> None:
-        print(json.dumps(vehicle.as_dict(), allow_nan=False) if parsed.json else vehicle, flush=True)
+        line = json.dumps(vehicle.as_dict(), allow_nan=False) if parsed.json else printable(vehicle)
+        print(line, flush=True)
 
     Watch(session).run(show, parsed.seconds, changes_only=not parsed.json)
     return 0

@@ -15,6 +15,7 @@ from service.cli.recordings import choice_of
 from service.compile.cache import ensure_cache_dir
 from service.errors import CorridorError, UsageError
 from service.interruption import leave_signals_alone
+from service.log_format import printable
 from service.readable import refuse_unreadable
 
 if TYPE_CHECKING:
@@ -50,7 +51,8 @@ def replay(parsed: argparse.Namespace) -> int:
     out = None if parsed.out is None else path_or_url(parsed.out)
     folders = result_folders(sessions, out)
     if out is None:
-        print(f"results go to {' and '.join(map(str, folders))}; --out names another folder", file=sys.stderr)
+        where = " and ".join(map(str, folders))
+        print(printable(f"results go to {where}; --out names another folder"), file=sys.stderr)
     if parsed.jobs is not None or parsed.cluster is not None:
         if parsed.web or parsed.paused:
             raise UsageError("--web shows one recording after the other; leave --jobs and --cluster out")
@@ -112,7 +114,7 @@ def _tell_outcomes(
     facts: dict[str, dict[str, Any]] = {}
     for name, outcome, folder in zip(names, outcomes, folders, strict=True):
         if isinstance(outcome, CorridorError):
-            print(f"corridor: {outcome}", file=sys.stderr)
+            print(printable(f"corridor: {outcome}"), file=sys.stderr)
             facts[name] = {"error": str(outcome)}
         else:
             facts[name] = outcome | {"out": str(folder)}

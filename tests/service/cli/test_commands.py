@@ -303,6 +303,18 @@ def test_results_are_words_or_one_json_object(capsys: pytest.CaptureFixture[str]
     assert json.loads(capsys.readouterr().out) == result
 
 
+def test_names_of_strangers_do_not_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    name, shown = "a\x1b[2Jb\r\x9b", r"a\x1b[2Jb\r\x9b"
+    assert main(["replay", str(tmp_path / name)]) == InputError.exit_code
+    console.print_result({"name": name, "names": [{"a": name}]}, as_json=False)
+    console.print_table([["", name], [name, "1"]])
+    console.print_report(name, as_json=False)
+    logging.getLogger("service").warning("%s", name)
+    out, err = capsys.readouterr()
+    assert (out.count(shown), err.count(shown)) == (5, 2)
+    assert not [c for c in out + err if ord(c) < 32 and c != "\n"]
+
+
 def test_the_journal_is_reported_the_severity(monkeypatch: pytest.MonkeyPatch):
     record = logging.LogRecord("drivers.link", logging.WARNING, "", 0, "gone\nback", None, None)
     assert (
