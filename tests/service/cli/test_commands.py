@@ -311,7 +311,7 @@ def test_names_of_strangers_do_not_steer_the_terminal(tmp_path: Path, capsys: py
     console.print_report(name, as_json=False)
     logging.getLogger("service").warning("%s", name)
     out, err = capsys.readouterr()
-    assert (out.count(shown), err.count(shown)) == (5, 2)
+    assert (out.count(shown), err.count(shown)) == (5, 3)
     assert not [c for c in out + err if ord(c) < 32 and c != "\n"]
 
 
