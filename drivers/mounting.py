@@ -6,7 +6,8 @@ from pydantic import Field
 
 from drivers.section import Section
 
-OffsetM = Annotated[float, Field(ge=-50.0, le=50.0)]  # on a vehicle
+MAX_OFFSET_M = 50.0  # on a vehicle
+OffsetM = Annotated[float, Field(ge=-MAX_OFFSET_M, le=MAX_OFFSET_M)]
 TurnDeg = Annotated[float, Field(ge=-360.0, le=360.0)]
 
 

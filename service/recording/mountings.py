@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from drivers.mounting import MAX_OFFSET_M
 from service.encoding import TF, Message, Transform, decode_transforms
 from service.errors import InputError
 from service.geometry.se2 import SE2
@@ -135,16 +136,24 @@ def _matrix(transform: Transform) -> Matrix:
     return matrix
 
 
+def refuse_far(matrix: Matrix, base: str) -> None:
+    """Raises MountingError where no vehicle is as large."""
+    away_m = float(np.abs(matrix[:3, 3]).max())
+    if not away_m <= MAX_OFFSET_M:
+        raise MountingError(f"{away_m:.3g} m away from {base}; at most {MAX_OFFSET_M:.0f} m along an axis")
+
+
 def planar_mounting(tree: StaticTree, bases: Sequence[str], sensor_frame: str) -> Mounting | None:
     """None where the tree does not lead from the sensor to one of the bases. Raises MountingError."""
     above = tree.chain(sensor_frame)
     base = next((name for name in bases if name in above), None)
     if base is None:
         return planar_mounting(tree, bases, sensor_frame) if tree.learn_repeated() else None
+    matrix = above[base]
+    refuse_far(matrix, base)
     edge = tree.edges.get(sensor_frame)
     if edge is not None and edge.frame == base and (edge.is_planar or edge.is_upside_down):
         return Mounting(edge.pose, edge.is_upside_down)  # exactly as the live mapper had it
-    matrix = above[base]
     up = float(np.clip(matrix[2, 2], -1.0, 1.0))
     tilt_deg = math.degrees(math.acos(abs(up)))
     if tilt_deg > MAX_TILT_DEG:

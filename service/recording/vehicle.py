@@ -23,7 +23,7 @@ from service.geometry.se2 import SE2
 from service.recording.choice import Choice
 from service.recording.frames import BASE_FRAMES, is_base, robot_of
 from service.recording.mcap_reader import Readable, Topic
-from service.recording.mountings import Mounting, MountingError, StaticTree, in_words, planar_mounting
+from service.recording.mountings import Mounting, MountingError, StaticTree, in_words, planar_mounting, refuse_far
 from service.recording.sources import (
     LASER_TYPES,
     SCAN_TYPES,
@@ -213,12 +213,12 @@ class Vehicle:
         bases = self._base_frames(chosen)
         for source in chosen:
             sensor = found.sensors[source]
-            if source.topic.type == NAV_SAT_FIX:
-                found.antennas |= _antennas(source, sensor, tree, bases, notes)
-                continue
             if source.topic.type == ODOMETRY:
                 continue
             try:
+                if source.topic.type == NAV_SAT_FIX:
+                    found.antennas |= _antennas(source, sensor, tree, bases, notes)
+                    continue
                 if source.topic.type == POINT_CLOUD:
                     mount, found.converters[sensor] = self._of_cloud(source, bases)
                 else:
@@ -270,6 +270,8 @@ class Vehicle:
         if base is None and self._tree.learn_repeated():
             return self._of_cloud(source, bases)
         matrix = above[base] if base is not None else None
+        if base is not None and matrix is not None:
+            refuse_far(matrix, base)
         converter = CloudConverter(self._choice, matrix)
         converter.scan(source.head.payload, "", 0)  # judges whether the laser is planar
         if converter.is_planar:
@@ -335,13 +337,14 @@ def _guessed(source: Source, bases: Sequence[str]) -> str:
 def _antennas(
     source: Source, sensor: str, tree: StaticTree, bases: Sequence[str], notes: list[str]
 ) -> dict[str, SE2]:
-    """Positions of a receiver and its antenna; an antenna may have any orientation."""
+    """Positions of a receiver and its antenna; an antenna may have any orientation. Raises MountingError."""
     names = {antenna_of(sensor): antenna_of(source.frame), sensor: source.frame}
     above = {name: tree.chain(frame) for name, frame in names.items()}
     found: dict[str, SE2] = {}
     for name, frames in above.items():
         base = next((base for base in bases if base in frames and len(frames) > 1), None)
         if base is not None:
+            refuse_far(frames[base], base)
             found[name] = SE2(float(frames[base][0, 3]), float(frames[base][1, 3]), 0.0)
     if not found:
         where = f"from {source.frame or 'its empty frame_id'} to {' or '.join(bases)}"

@@ -255,9 +255,16 @@ def test_two_mountings_of_one_laser_are_a_warning(foreign, later, is_reported: b
     assert f"later {parent} to front: x {x_m:.3g}" in warning
 
 
-def test_a_laser_that_looks_at_the_floor_is_refused_with_its_angle(foreign):
-    foreign.tf(("base_link", "front", (0.1, 0.0, 0.2), turn(pitch=35.0)))
-    with pytest.raises(InputError, match="tilted by 35 deg against base_link; at most 10 can be mapped"):
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [
+        (((0.1, 0.0, 0.2), turn(pitch=35.0)), "tilted by 35 deg against base_link; at most 10 can be mapped"),
+        (((0.0, -1e300, 0.0), LEVEL), r"1e\+300 m away from base_link; at most 50 m along an axis"),
+    ],
+)
+def test_a_laser_that_looks_at_the_floor_or_is_far_from_the_vehicle_is_refused(foreign, place, why: str):
+    foreign.tf(("base_link", "front", *place))
+    with pytest.raises(InputError, match=why):
         open_session(foreign.add_message("/scan", scan_message(0)).close())
 
 
