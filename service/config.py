@@ -19,7 +19,7 @@ from drivers.wires import one_spelling
 from service.encoding import Message, decode_mountings, decode_upside_down, encode_tf_static
 from service.errors import ConfigError
 from service.geometry.se2 import SE2
-from service.located_model import add_fault, raise_faults, read_file, validated
+from service.located_model import add_fault, raise_faults, read_file, refuse_large, validated
 from service.located_yaml import Document, Fault, load
 from service.located_yaml import Path as KeyPath
 from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_model
@@ -152,8 +152,10 @@ def recorded_config(
     text = recording.metadata.get("config", {}).get("yaml")
     if text is None:
         return None
+    name = f"{recording.paths[0]}, recorded config"
     try:
-        return parse(text, f"{recording.paths[0]}, recorded config")
+        refuse_large(text, name)
+        return parse(text, name)
     except ConfigError as error:
         if is_replaced:
             return None

@@ -23,8 +23,7 @@ def read_file(path: Path) -> str:
     try:
         with path.open("rb") as file:
             content = file.read(MAX_FILE_BYTES + 1)
-        if len(content) > MAX_FILE_BYTES:
-            raise ConfigError([f"{path}: larger than {MAX_FILE_BYTES} bytes; that is no config"])
+        refuse_large(content, path)
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
         before = error.object[: error.start]
@@ -34,6 +33,12 @@ def read_file(path: Path) -> str:
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = getattr(error, "strerror", None) or error
         raise ConfigError([f"{path}: cannot be read: {reason}"]) from error
+
+
+def refuse_large(content: bytes | str, file: object) -> None:
+    """Before it is parsed, which takes seconds for a megabyte. Raises ConfigError."""
+    if len(content) > MAX_FILE_BYTES:
+        raise ConfigError([f"{file}: larger than {MAX_FILE_BYTES} bytes; that is no config"])
 
 
 def raise_faults(document: Document, file: str) -> None:

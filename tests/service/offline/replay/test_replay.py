@@ -190,6 +190,8 @@ def test_a_session_that_cannot_be_read_keeps_no_other_back(
 def test_a_config_or_a_profile_that_cannot_be_used_is_a_config_error(record_drive: RecordDrive):
     with pytest.raises(ConfigError, match=r"radar: unknown key(.|\n)*--config"):
         replay([record_drive(config=CONFIG % 0.0 + "radar: {}\n")], ReplayOptions())
+    with pytest.raises(ConfigError, match="recorded config: larger than 1000000 bytes"):
+        replay([record_drive("v", config=CONFIG % 0.0 + "#" * 1_000_000)], ReplayOptions())
     with pytest.raises(ConfigError, match="--profile: fast is no profile"):
         replay([record_drive("w")], ReplayOptions(profile="fast"))
 
