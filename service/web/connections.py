@@ -16,6 +16,7 @@ MIN_CONNECTIONS = 32
 IDLE_S = 15.0  # without a complete request; a websocket is one that lasts
 HANDSHAKE_S = 10.0  # of TLS
 AT_ONCE = 16  # connections that asyncio accepts before any of them counts: so many may be too many
+NO_HTTP = (HttpProcessingError, web.RequestPayloadError)
 
 log = logging.getLogger(__name__)
 
@@ -81,8 +82,10 @@ class Listener:
         )
 
     def _is_ours(self, record: logging.LogRecord) -> bool:
-        """False for what someone has sent that is no HTTP: it is counted; it would fill the log."""
-        if record.exc_info is None or not isinstance(record.exc_info[1], HttpProcessingError):
+        """False for what someone has sent that is no HTTP, or no body that its head claims: it is counted; it
+        would fill the log.
+        """
+        if record.exc_info is None or not isinstance(record.exc_info[1], NO_HTTP):
             return True
         self._refused()
         return False

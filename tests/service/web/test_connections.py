@@ -97,10 +97,11 @@ def test_what_is_no_http_is_let_go_and_fills_no_log(serve, caplog):
     for sent in (
         b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: " + b"y" * 10_000,
         b"\x16\x03\x01" + b"\xff" * 500,
+        b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Encoding: gzip\r\nContent-Length: 9\r\n\r\nxxxxx",
     ):
         with connect(server) as stranger:
             stranger.sendall(sent + b"\r\n\r\n")
             while not is_closed(stranger):
                 pass
-    assert server.health().values["refused"] == "1"  # the other speaks TLS, say, and is nothing of note
+    assert server.health().values["refused"] == "2"  # the other speaks TLS, say, and is nothing of note
     assert caplog.records == []
