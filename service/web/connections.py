@@ -16,7 +16,6 @@ MIN_CONNECTIONS = 32
 IDLE_S = 15.0  # without a complete request; a websocket is one that lasts
 HANDSHAKE_S = 10.0  # of TLS
 AT_ONCE = 16  # connections that asyncio accepts before any of them counts: so many may be too many
-NO_HTTP = (HttpProcessingError, web.RequestPayloadError)
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +48,7 @@ class Listener:
             handle_signals=False,
             shutdown_timeout=1.0,
             keepalive_timeout=IDLE_S,
+            auto_decompress=False,  # no request has a body that is read
             logger=self._log,
         )
 
@@ -82,10 +82,8 @@ class Listener:
         )
 
     def _is_ours(self, record: logging.LogRecord) -> bool:
-        """False for what someone has sent that is no HTTP, or no body that its head claims: it is counted; it
-        would fill the log.
-        """
-        if record.exc_info is None or not isinstance(record.exc_info[1], NO_HTTP):
+        """False for what someone has sent that is no HTTP: it is counted; it would fill the log."""
+        if record.exc_info is None or not isinstance(record.exc_info[1], HttpProcessingError):
             return True
         self._refused()
         return False

@@ -98,6 +98,7 @@ def test_what_is_no_http_is_let_go_and_fills_no_log(serve, caplog):
         b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: " + b"y" * 10_000,
         b"\x16\x03\x01" + b"\xff" * 500,
         b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Encoding: gzip\r\nContent-Length: 9\r\n\r\nxxxxx",
+        b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nabcdefghij\r\nzz",
     ):
         with connect(server) as stranger:
             stranger.sendall(sent + b"\r\n\r\n")
