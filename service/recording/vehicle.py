@@ -23,7 +23,14 @@ from service.geometry.se2 import SE2
 from service.recording.choice import Choice
 from service.recording.frames import BASE_FRAMES, is_base, robot_of
 from service.recording.mcap_reader import Readable, Topic
-from service.recording.mountings import Mounting, MountingError, StaticTree, in_words, planar_mounting, refuse_far
+from service.recording.mountings import (
+    Mounting,
+    MountingError,
+    StaticTree,
+    in_words,
+    planar_mounting,
+    refuse_far,
+)
 from service.recording.sources import (
     LASER_TYPES,
     SCAN_TYPES,
