@@ -4,6 +4,7 @@ A name is the common name of a certificate, or that of a user. Its role decides:
 commands besides, a vehicle publishes below its own name. Without a role nothing is allowed.
 """
 
+import os
 import stat
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,8 +13,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from drivers.section import Section
-from service.errors import StorageError, words_of
+from service.errors import InputError, StorageError, words_of
 from service.publishing.keys import ROOT
+from service.readable import open_file
 
 LOCAL_PROTOCOLS = ("tcp", "udp", "ws", "unixsock-stream")  # a config has these on this machine alone
 MAX_PASSWORDS_BYTES = 1_000_000
@@ -193,8 +195,9 @@ def _rule(
 
 def _check_private(path: Path, what: str) -> None:
     try:
-        mode = stat.S_IMODE(path.stat().st_mode)
-    except OSError as error:
+        with open_file(path) as file:
+            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+    except (OSError, InputError) as error:
         raise StorageError(
             f"{path}: {what} of publishing.security cannot be read: {words_of(error)}"
         ) from error
@@ -204,9 +207,9 @@ def _check_private(path: Path, what: str) -> None:
 
 def _password(path: Path, name: str) -> str:
     try:
-        with path.open(encoding="utf-8") as file:
-            lines = file.read(MAX_PASSWORDS_BYTES).splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        with open_file(path) as file:
+            lines = file.read(MAX_PASSWORDS_BYTES).decode().splitlines()
+    except (OSError, UnicodeDecodeError, InputError) as error:
         raise StorageError(
             f"{path}: passwords of publishing.security cannot be read: {words_of(error)}"
         ) from error

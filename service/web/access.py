@@ -14,7 +14,8 @@ from collections.abc import Collection
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from service.errors import StorageError, words_of
+from service.errors import InputError, StorageError, words_of
+from service.readable import open_file
 
 TOKEN_BYTES = 16
 LONGEST_TOKEN_FILE = 1000
@@ -67,9 +68,9 @@ def token_from_file(path: Path) -> str:
 def _kept_token(path: Path) -> str:
     try:
         mode = stat.S_IMODE(path.stat().st_mode)
-        with path.open(encoding="ascii") as file:
-            token = file.read(LONGEST_TOKEN_FILE).strip()
-    except (OSError, UnicodeDecodeError) as error:
+        with open_file(path) as file:
+            token = file.read(LONGEST_TOKEN_FILE).decode("ascii").strip()
+    except (OSError, UnicodeDecodeError, InputError) as error:
         raise StorageError(f"{path}: the token of the page cannot be read: {words_of(error)}") from error
     if mode & 0o077:
         raise StorageError(

@@ -15,6 +15,7 @@ from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.machine import Machine
 from service.publishing.config import is_local
 from service.publishing.security import SecurityConfig, TlsConfig, UsersConfig
+from service.readable import open_file
 
 if TYPE_CHECKING:  # cryptography is an extra
     from cryptography.x509 import Certificate
@@ -115,10 +116,10 @@ def _private(machine: Machine, who: str, path: Path, what: str) -> list[Finding]
     """Whether this user can read it, and no other."""
     there = machine.path(path)
     try:
-        with there.open("rb") as file:
+        with open_file(there) as file:
             file.read(1)
         mode = stat.S_IMODE(there.stat().st_mode)
-    except OSError as error:
+    except (OSError, InputError) as error:
         words = f"user {machine.user} cannot read {path}: {words_of(error)}"
         return [fault(who, words, f"{what}, readable for the service", f"sudo chown {machine.user} {path}")]
     if mode & 0o077:

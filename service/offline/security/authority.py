@@ -19,6 +19,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from service.errors import InputError, StorageError, words_of
 from service.publishing.security import RolesConfig, SecurityConfig, TlsConfig, access_control
+from service.readable import open_file
 
 Role = Literal["viewer", "operator", "vehicle"]
 AUTHORITY_DAYS = 3650
@@ -189,7 +190,8 @@ class _Site:
 def read_certificate(path: Path) -> x509.Certificate:
     """The first one of a PEM file. Raises InputError, and OSError where it cannot be read."""
     try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
+        with open_file(path) as file:
+            return x509.load_pem_x509_certificate(file.read())
     except ValueError as error:
         raise InputError(f"{path}: no certificate in PEM: {error}") from error
 

@@ -1,6 +1,7 @@
 """Strangers and people of each role at a service, by real Zenoh sessions over TLS or with passwords."""
 
 import json
+import os
 from collections.abc import Callable
 from functools import partial
 
@@ -276,3 +277,6 @@ def test_files_that_others_may_read_are_refused(site, tmp_path):
         link_settings(security)
     with pytest.raises(StorageError, match="no line veh1:<password>"):
         link_settings(SecurityConfig(users={"file": str(site / "users"), "name": "veh1"}))
+    os.mkfifo(tmp_path / "pipe", 0o600)
+    with pytest.raises(StorageError, match=r"pipe: passwords .* a pipe; expected a regular file"):
+        link_settings(SecurityConfig(users={"file": str(tmp_path / "pipe"), "name": "veh1"}))

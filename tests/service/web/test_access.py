@@ -1,3 +1,4 @@
+import os
 import stat
 
 import pytest
@@ -34,6 +35,12 @@ def test_a_file_that_others_read_or_that_holds_nothing_is_refused(tmp_path, cont
     path.chmod(mode)
     with pytest.raises(StorageError, match=words):
         token_from_file(path)
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "web.token", 0o600)
+    with pytest.raises(StorageError, match="a pipe; expected a regular file"):
+        token_from_file(tmp_path / "web.token")
 
 
 @pytest.mark.parametrize(

@@ -1,3 +1,4 @@
+import os
 import re
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -50,6 +51,11 @@ def replaced(site: Path, name: str, by: bytes, mode: int = 0o600) -> None:
     (site / name).chmod(mode)
 
 
+def piped(site: Path, name: str) -> None:
+    (site / name).unlink()
+    os.mkfifo(site / name, 0o600)
+
+
 def other(site: Path) -> Path:
     init_site(site / "other", [Holder("veh1", "vehicle")], days=100, now=NOW)
     return site / "other"
@@ -61,6 +67,8 @@ def other(site: Path) -> Path:
         (lambda site: (site / "veh1.key").unlink(), "driver cannot read .*veh1.key: No such file"),
         (lambda site: (site / "veh1.pem").unlink(), "veh1.pem cannot be read: No such file"),
         (lambda site: (site / "ca.pem").unlink(), "ca.pem cannot be read: No such file"),
+        (lambda site: piped(site, "veh1.pem"), "veh1.pem: a pipe; expected a regular file"),
+        (lambda site: piped(site, "veh1.key"), "veh1.key: a pipe; expected a regular file"),
         (lambda site: replaced(site, "veh1.pem", b"x"), "veh1.pem: no certificate in PEM"),
         (lambda site: replaced(site, "veh1.key", b"x"), "veh1.key is not the key of .*veh1.pem"),
         (lambda site: (site / "veh1.key").chmod(0o644), r"others may read .*veh1.key \(mode 0644\)"),
