@@ -20,6 +20,7 @@ MAX_MEMBERS = 100_000  # arrays of one file, and files of one map
 MAX_CHUNK_BYTES = 256 << 20  # of a recording, unpacked; writers use 1 to 4 MB
 MAX_CHUNK_RECORDS = 1_000_000  # in one chunk; messages of an IMU are 300 bytes
 MAX_WAITING_BYTES = 1 << 30  # messages read ahead, where chunks of a recording overlap in time
+MAX_SENSOR_TOPICS = 200  # of a recording: its beginning is read once for each
 MAX_MESSAGE_BYTES = 256 << 20  # that was compressed alone
 MAX_RATIO = 1000  # unpacked to packed, of a whole file; a laser before which nothing stands comes to 300
 FREE_BYTES = 16 << 20  # that any file may become, whatever its own size

@@ -31,6 +31,7 @@ from service.encoding import (
 )
 from service.errors import InputError
 from service.geometry.se2 import SE2
+from service.limits import MAX_SENSOR_TOPICS, check
 from service.mapper.mapping_session import Step
 from service.recording.choice import NO_CHOICE, Choice
 from service.recording.mcap_reader import Readable, Topic
@@ -245,6 +246,7 @@ def open_session(paths: Sequence[Path], choice: Choice = NO_CHOICE) -> Session:
     for topic in [t for t in readable if t.encoding != "cdr"]:
         notes.append(f"passed over {topic}: encoded as {topic.encoding!r}; only ROS 2's cdr is read")
     readable = [topic for topic in readable if topic.encoding == "cdr"]
+    check(len(readable), MAX_SENSOR_TOPICS, f"{recording.paths[0]}: topics of sensors", "topics")
     _refuse_two_types(recording, readable)
     ours = [topic for topic in readable if _is_ours(topic)] if _is_our_session(recording) else []
     vehicle = Vehicle(recording, choice, notes)

@@ -462,6 +462,13 @@ def test_a_topic_of_two_types_is_refused_with_the_file(foreign, other: Message):
         open_session(foreign.close())
 
 
+def test_topics_are_counted_before_each_is_looked_into(foreign):
+    for index in range(201):
+        foreign.add_message(f"/laser_{index}", scan_message(index, beams=3))
+    with pytest.raises(InputError, match=r"topics of sensors: 201 topics, at most 200 are read"):
+        open_session(foreign.close())
+
+
 def test_scans_in_another_encoding_are_refused(foreign):
     message = scan_message(0)
     foreign.add("/scan", message.type, message.payload, encoding_name="json")
