@@ -75,11 +75,7 @@ def validated(
 
 
 def _refuse(
-    document: Document,
-    path: KeyPath,
-    model: type[BaseModel],
-    detail: ErrorDetails,
-    own_keys: Collection[str],
+    document: Document, path: KeyPath, model: type[BaseModel], detail: ErrorDetails, own_keys: Collection[str]
 ) -> None:
     at, got = path, detail["input"]
     for part in detail["loc"]:  # pydantic puts the tag of a union in between, which is no key

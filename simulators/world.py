@@ -247,11 +247,7 @@ class Plan:
             self.box((centre[0] + c * x - s * y, centre[1] + s * x + c * y), (0.05, 0.05), turn_deg, 0.3)
 
     def wall(
-        self,
-        begin: Point,
-        end: Point,
-        gaps: Sequence[tuple[float, float]] = (),
-        thickness: float = 0.12,
+        self, begin: Point, end: Point, gaps: Sequence[tuple[float, float]] = (), thickness: float = 0.12
     ) -> None:
         """A wall with two faces around its centre line; gaps are (from, to) along it, measured from begin."""
         length = math.dist(begin, end)
@@ -265,12 +261,7 @@ class Plan:
                 self.box(centre, (high - low, thickness), turn_deg, 0.6)
 
     def sunk_doors(
-        self,
-        begin: Point,
-        end: Point,
-        doors: Sequence[float],
-        depth: float = 0.25,
-        width: float = 0.9,
+        self, begin: Point, end: Point, doors: Sequence[float], depth: float = 0.25, width: float = 0.9
     ) -> None:
         """One face of a wall with door niches: each begins that far from `begin` and recedes to the left (a
         negative depth: to the right).

@@ -15,13 +15,7 @@ import numpy as np
 
 from drivers.xsens_mtig.mtdata import Layout, LegacyCodec
 from drivers.xsens_mtig.mtdata2 import EVERY_MESSAGE, Kind
-from drivers.xsens_mtig.protocol import (
-    TIMER_OVERFLOW,
-    Message,
-    MessageDecoder,
-    Mid,
-    encode,
-)
+from drivers.xsens_mtig.protocol import TIMER_OVERFLOW, Message, MessageDecoder, Mid, encode
 from simulators.device import CATCH_UP_NS, TURNS_SKIPPED, turns_to_skip
 from simulators.inertial import Inertial, InertialSource, Place
 from simulators.xsens_mtig_data import (

@@ -10,15 +10,7 @@ from typing import Literal
 import numpy as np
 
 from drivers.xsens_mtig.health import FILTER_VALID, GNSS_FIX, SELFTEST_OK
-from drivers.xsens_mtig.mtdata import (
-    EULER,
-    MATRIX,
-    QUATERNION,
-    LegacyCodec,
-    LegacyData,
-    Mode,
-    RawGps,
-)
+from drivers.xsens_mtig.mtdata import EULER, MATRIX, QUATERNION, LegacyCodec, LegacyData, Mode, RawGps
 from drivers.xsens_mtig.mtdata2 import (
     FRAME_MASK,
     KIND_MASK,

@@ -14,14 +14,7 @@ import numpy.typing as npt
 
 from drivers.counted import counted
 from drivers.errors import ProtocolError
-from drivers.hokuyo_utm30lx.protocol import (
-    LF,
-    SCAN_FOLLOWS,
-    Reply,
-    checksum,
-    decode_number,
-    encode_number,
-)
+from drivers.hokuyo_utm30lx.protocol import LF, SCAN_FOLLOWS, Reply, checksum, decode_number, encode_number
 
 NO_ECHO = -1  # in a row of Scan: the beam has fewer echoes
 MAX_ECHOES = 3

@@ -92,10 +92,7 @@ class LayerReduction:
         first_ticks = -(-start_ticks // step) * step
         beam_count = (first_ticks - end_ticks + step - 1) // step + 1
         beams = Beams(
-            first_ticks,
-            step,
-            np.full(beam_count, np.nan, np.float32),
-            np.zeros(beam_count, np.float32),
+            first_ticks, step, np.full(beam_count, np.nan, np.float32), np.zeros(beam_count, np.float32)
         )
         usable, labels = self._usable(scan)
         for name, labelled in labels.items():  # the beams that see something else are written over
@@ -144,10 +141,7 @@ class LayerReduction:
 
     def _sector_ticks(self, scan: Scan) -> tuple[int, int]:
         """Start and end of what the scan and the config have in common."""
-        return (
-            min(scan.start_ticks, self._config.first_ticks),
-            max(scan.end_ticks, self._config.last_ticks),
-        )
+        return (min(scan.start_ticks, self._config.first_ticks), max(scan.end_ticks, self._config.last_ticks))
 
     def _usable(self, scan: Scan) -> tuple[Mask, dict[str, Mask]]:
         """(N,) the points that may count, by themselves, and by label those that would without it."""

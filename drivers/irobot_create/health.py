@@ -17,12 +17,7 @@ LOW_BATTERY_SHARE = 0.2
 FAULT_RECENT_NS = 10_000_000_000  # so long it is in the status, and so seldom in the log
 _WHEEL_DROPS = 0b11100  # right, left, caster (Create 1)
 _BUMPS = 0b00011
-_CLIFFS = (
-    PacketId.CLIFF_LEFT,
-    PacketId.CLIFF_FRONT_LEFT,
-    PacketId.CLIFF_FRONT_RIGHT,
-    PacketId.CLIFF_RIGHT,
-)
+_CLIFFS = (PacketId.CLIFF_LEFT, PacketId.CLIFF_FRONT_LEFT, PacketId.CLIFF_FRONT_RIGHT, PacketId.CLIFF_RIGHT)
 HEALTH_IDS = (
     PacketId.BUMPS_WHEEL_DROPS,
     *_CLIFFS,

@@ -19,12 +19,7 @@ from drivers.counted import counted
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.xsens_mtig.config import AUTO, XsensMtigConfig
 from drivers.xsens_mtig.mtdata import KNOWN_MODE, Layout, Mode
-from drivers.xsens_mtig.mtdata2 import (
-    KIND_MASK,
-    Kind,
-    read_output_configuration,
-    write_output_configuration,
-)
+from drivers.xsens_mtig.mtdata2 import KIND_MASK, Kind, read_output_configuration, write_output_configuration
 from drivers.xsens_mtig.protocol import (
     BAUD_OF_CODE,
     CODE_OF_BAUD,

@@ -7,14 +7,7 @@ from drivers.watch import DAMAGED, DropReason, MalformedRun, WatchedSession
 from drivers.xsens_mtig.config import XsensMtigConfig
 from drivers.xsens_mtig.dialogue import Ask, MtigDialogue
 from drivers.xsens_mtig.health import DeviceHealth
-from drivers.xsens_mtig.protocol import (
-    Message,
-    MessageDecoder,
-    Mid,
-    encode,
-    error_text,
-    warning_text,
-)
+from drivers.xsens_mtig.protocol import Message, MessageDecoder, Mid, encode, error_text, warning_text
 from drivers.xsens_mtig.streams import LegacyStream, Mtdata2Stream
 
 BITS_A_BYTE = 10

@@ -21,16 +21,7 @@ from drivers.watch import NOT_FINITE, SilenceWatch, StampGate
 from drivers.xsens_mtig.config import XsensMtigConfig
 from drivers.xsens_mtig.health import GNSS_FIX, DeviceHealth
 from drivers.xsens_mtig.mtdata import LegacyCodec, LegacyData, RawGps, Settings
-from drivers.xsens_mtig.mtdata2 import (
-    FRAME_MASK,
-    KIND_MASK,
-    GnssPvt,
-    Kind,
-    LocalFrame,
-    Utc,
-    read_item,
-    split,
-)
+from drivers.xsens_mtig.mtdata2 import FRAME_MASK, KIND_MASK, GnssPvt, Kind, LocalFrame, Utc, read_item, split
 from drivers.xsens_mtig.orientation import Vector, apply, axes_of, device_from_axes, to_enu
 from drivers.xsens_mtig.reals import Reals
 from drivers.xsens_mtig.sample_clock import FINE_TICK_NS, CounterClock, FineClock

@@ -219,9 +219,7 @@ def _add_export(commands: Any) -> None:
 
 def _add_report(commands: Any) -> None:
     report = _add(
-        commands,
-        "report",
-        "a replay's folder as one HTML page: map, path, states, loops, sensors, warnings",
+        commands, "report", "a replay's folder as one HTML page: map, path, states, loops, sensors, warnings"
     )
     report.add_argument("result", type=Path, metavar="RESULT")
     report.add_argument(
@@ -423,10 +421,7 @@ def _add(commands: Any, name: str, help_text: str) -> argparse.ArgumentParser:
 
 def _add_profile(parser: argparse.ArgumentParser, help_text: str) -> None:
     parser.add_argument(
-        "--profile",
-        type=OneOf("profile", PROFILES),
-        metavar="P",
-        help=f"{help_text}: {', '.join(PROFILES)}",
+        "--profile", type=OneOf("profile", PROFILES), metavar="P", help=f"{help_text}: {', '.join(PROFILES)}"
     )
 
 

@@ -81,10 +81,7 @@ class Progress:
     """
 
     def __init__(
-        self,
-        what: str,
-        stream: TextIO | None = None,
-        monotonic_s: Callable[[], float] = time.monotonic,
+        self, what: str, stream: TextIO | None = None, monotonic_s: Callable[[], float] = time.monotonic
     ) -> None:
         self._phase = what
         self._stream = stream if stream is not None else sys.stderr

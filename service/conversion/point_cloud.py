@@ -99,13 +99,7 @@ class CloudConverter:
         return self._of_points(level[kept], range_m[kept], seconds, sensor, stamp_ns, log_ns)
 
     def _of_points(
-        self,
-        level: Floats,
-        range_m: Floats,
-        seconds: Floats | None,
-        sensor: str,
-        stamp_ns: int,
-        log_ns: int,
+        self, level: Floats, range_m: Floats, seconds: Floats | None, sensor: str, stamp_ns: int, log_ns: int
     ) -> LaserScan:
         angle_rad = np.arctan2(level[:, 1], level[:, 0])
         sweep = None if seconds is None else _sweep_of(angle_rad, seconds)

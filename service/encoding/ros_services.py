@@ -24,10 +24,7 @@ SUCCESS, MAP_DOES_NOT_EXIST, UNDEFINED_FAILURE = 0, 1, 255  # results of LOAD_MA
 # By service: the fields of request and response, written as in ros_messages.py
 _DEFINITIONS = {
     TRIGGER: ("", "bool success; string message"),
-    LOAD_MAP: (
-        "string map_url",
-        "nav_msgs/OccupancyGrid map; uint8 result",
-    ),
+    LOAD_MAP: ("string map_url", "nav_msgs/OccupancyGrid map; uint8 result"),
     SAVE_MAP: (
         "string map_topic, map_url, image_format, map_mode; float32 free_thresh, occupied_thresh",
         "bool result",

@@ -127,10 +127,7 @@ def access_control(
         _rule("view", ("query",), [f"{ROOT}/*/cmd/**"], permission="deny"),
         _rule("command", ("put",), [f"{ROOT}/*/initialpose"]),
     ]
-    of_role = {
-        "viewer": ["send", "follow", "ask", "view"],
-        "operator": ["send", "follow", "ask", "command"],
-    }
+    of_role = {"viewer": ["send", "follow", "ask", "view"], "operator": ["send", "follow", "ask", "command"]}
     if topics:
         rules += _topic_rules(ros2_domain, topics, tokens)
         of_role["viewer"] += ["follow-topics", "ask-late"]

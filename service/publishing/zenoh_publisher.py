@@ -17,15 +17,7 @@ import zenoh.ext
 
 from drivers.rmw_zenoh import Attachment, make_gid
 from drivers.zenoh_callback import daemon_callback
-from service.encoding import (
-    CHANGES,
-    TILES,
-    Message,
-    Status,
-    encode_diagnostics,
-    encode_tile,
-    tile_channel,
-)
+from service.encoding import CHANGES, TILES, Message, Status, encode_diagnostics, encode_tile, tile_channel
 from service.outputs import TileUpdate
 from service.publishing.command_queryable import CommandQueryable
 from service.publishing.commands import Answer

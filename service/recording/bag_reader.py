@@ -16,9 +16,7 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1.reader import ReaderError
 from rosbags.rosbag2 import Reader as Ros2Reader
 
-from service.encoding import (
-    Message,
-)
+from service.encoding import Message
 from service.encoding.ros_messages import FIELDDEFS
 from service.errors import InputError
 from service.recording.definitions import cdr_of_ros1, is_known, ros2_type

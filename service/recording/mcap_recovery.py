@@ -30,13 +30,7 @@ from service.errors import CorridorError, InputError, StorageError, words_of
 from service.limits import MAX_CHUNK_BYTES, TooLargeError, Unpacking
 from service.readable import open_file
 from service.recording.mcap_chunks import ChunkRecord, chunk_records, complete_records
-from service.recording.mcap_file import (
-    ACTIVE_SUFFIX,
-    CHUNK_BYTES,
-    LIBRARY,
-    PROFILE,
-    is_locked,
-)
+from service.recording.mcap_file import ACTIVE_SUFFIX, CHUNK_BYTES, LIBRARY, PROFILE, is_locked
 from service.recording.mcap_reader import Recording
 from service.recording.unpacking import unpacked, zstd_decompressor
 from service.writable import sync

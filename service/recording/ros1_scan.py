@@ -14,15 +14,7 @@ from pathlib import Path
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader
-from rosbags.rosbag1.reader import (
-    Chunk,
-    ChunkInfo,
-    Header,
-    IndexData,
-    ReaderError,
-    RecordType,
-    decompressors,
-)
+from rosbags.rosbag1.reader import Chunk, ChunkInfo, Header, IndexData, ReaderError, RecordType, decompressors
 
 from drivers.counted import counted
 from service.limits import MAX_CHUNK_BYTES, TooLargeError

@@ -311,11 +311,7 @@ def _namespace(topic: str) -> str:
 
 
 def _mount(
-    source: Source,
-    of_topic: Sequence[Source],
-    tree: StaticTree,
-    bases: Sequence[str],
-    notes: list[str],
+    source: Source, of_topic: Sequence[Source], tree: StaticTree, bases: Sequence[str], notes: list[str]
 ) -> Mounting:
     """Mounting of a device. None in a topic counts as mounted at the origin beside one with a mounting.
 

@@ -34,12 +34,7 @@ class Intake:
     put    takes a message for all sinks, and only queues it
     """
 
-    def __init__(
-        self,
-        link: MapperLink,
-        host_time: HostTime,
-        put: Callable[[Message], Any],
-    ) -> None:
+    def __init__(self, link: MapperLink, host_time: HostTime, put: Callable[[Message], Any]) -> None:
         self._link = link
         self._host_time = host_time
         self._put = put

@@ -37,12 +37,7 @@ class Sinks:
         self._hung: set[str] = set()  # sinks that did not flush
         self._refused: Counter[str] = Counter()  # calls that raised, by name of the sink
 
-    def open(
-        self,
-        kinds: Sequence[SinkKind],
-        sections: Mapping[str, Any],
-        context: SinkContext,
-    ) -> None:
+    def open(self, kinds: Sequence[SinkKind], sections: Mapping[str, Any], context: SinkContext) -> None:
         """Open every kind that its section of the config does not switch off; all or none.
 
         sections   section of the config -> its model

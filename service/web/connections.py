@@ -72,13 +72,7 @@ class Listener:
 
         timeout_s = HANDSHAKE_S if tls is not None else None
         return await asyncio.get_running_loop().create_server(
-            connect,
-            host,
-            port,
-            ssl=tls,
-            backlog=AT_ONCE,
-            reuse_address=True,
-            ssl_handshake_timeout=timeout_s,
+            connect, host, port, ssl=tls, backlog=AT_ONCE, reuse_address=True, ssl_handshake_timeout=timeout_s
         )
 
     def _is_ours(self, record: logging.LogRecord) -> bool:

@@ -44,10 +44,6 @@ def floor(limits: Limits = WALKING, layout: int = SEED) -> World:
         plan.box((float(x), float(y)), (float(rng.uniform(0.4, 1.6)), 0.6), float(rng.choice([0.0, 90.0])))
     ring = [(40.8, 9.2), (40.8, 30.8), (9.2, 30.8), (9.2, 9.2)]
     through = [(24.8, 9.2), (24.8, 30.8), (40.8, 30.8), (40.8, 9.2), (10.2, 9.2)]
-    legs: list[Leg] = [
-        Follow([*ring, *through], corner_radius_m=0.8),
-        Spin(np.pi),
-        Pause(1.0),
-    ]
+    legs: list[Leg] = [Follow([*ring, *through], corner_radius_m=0.8), Spin(np.pi), Pause(1.0)]
     drive = plan_drive(SE2(10.2, 9.2, 0.0), legs, limits, repeats=True)
     return make_world("floor", plan, (), drive)

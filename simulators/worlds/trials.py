@@ -79,10 +79,7 @@ def _companion(drive: Trajectory, number: int, ahead_m: float, left_m: float) ->
     ahead = ahead_m + 0.25 * np.sin(0.9 * along_s + number)
     left = left_m + 0.2 * np.sin(0.6 * along_s + 2.0 * number)
     with_it = np.column_stack(
-        [
-            x + ahead * np.cos(theta) - left * np.sin(theta),
-            y + ahead * np.sin(theta) + left * np.cos(theta),
-        ]
+        [x + ahead * np.cos(theta) - left * np.sin(theta), y + ahead * np.sin(theta) + left * np.cos(theta)]
     )
     with_it = np.clip(with_it, 0.5, (19.5, 13.5))
     corner = np.array([17.5 + 0.4 * number, 11.0 + 0.5 * number])

@@ -74,12 +74,7 @@ def look_at_shared(machine: Machine, sensors: Mapping[str, Any]) -> list[Finding
     ]
 
 
-def examine_sensor(
-    machine: Machine,
-    config: Any,
-    patience: Patience,
-    stop: threading.Event,
-) -> list[Finding]:
+def examine_sensor(machine: Machine, config: Any, patience: Patience, stop: threading.Event) -> list[Finding]:
     """All findings on one sensor, a cause before its consequences."""
     kind, who, wire = SENSOR_KINDS[config.type], config.name, wire_of(config)
     found: list[Finding] = []

@@ -17,9 +17,7 @@ from service.offline.doctor.running import ask_health, from_health
 
 
 def examine(
-    config_path: Path | None,
-    machine: Machine | None = None,
-    patience: Patience | None = None,
+    config_path: Path | None, machine: Machine | None = None, patience: Patience | None = None
 ) -> tuple[Report, int]:
     """The report, and the exit code: 0 no fault, 1 a fault, 78 the config is invalid.
 

@@ -15,13 +15,7 @@ from service.mapstore.picture import Picture, picture_of_grid
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.offline.export.drawings import write_dxf, write_svg
-from service.offline.export.geo_export import (
-    Poses,
-    write_csv,
-    write_geojson,
-    write_kml,
-    write_world_file,
-)
+from service.offline.export.geo_export import Poses, write_csv, write_geojson, write_kml, write_world_file
 from service.offline.export.geotiff import write_geotiff
 from service.offline.export.outlines import outlines
 from service.offline.export.point_cloud import write_pcd, write_ply

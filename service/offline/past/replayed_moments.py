@@ -24,11 +24,7 @@ class ReplayedMoments(DrivenMoments):
     """
 
     def __init__(
-        self,
-        session: Session,
-        stamp_ns: npt.NDArray[np.int64],
-        log_ns: npt.NDArray[np.int64],
-        poses: Floats,
+        self, session: Session, stamp_ns: npt.NDArray[np.int64], log_ns: npt.NDArray[np.int64], poses: Floats
     ) -> None:
         super().__init__(stamp_ns, poses)
         self._session = session

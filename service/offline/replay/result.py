@@ -123,12 +123,7 @@ def rewrite_result(folder: Path) -> None:
 
 
 def _write_files(
-    out: Path,
-    poses: Poses,
-    picture: Picture,
-    g2o: str,
-    geo: GeoReference | None,
-    summary: Mapping[str, Any],
+    out: Path, poses: Poses, picture: Picture, g2o: str, geo: GeoReference | None, summary: Mapping[str, Any]
 ) -> None:
     """Write the files of one version of a map and the drive in it."""
     write_tum(out / TRAJECTORY_FILE, poses)

@@ -68,8 +68,7 @@ def _by_itself(result: Path, summary: dict[str, Any]) -> Measured:
     lost, degraded = state["lost"] / scans, state["degraded"] / scans
     cost = (offset_m + OFFSET_M) / OFFSET_M * entropy * (1.0 + LOST_WEIGHT * lost + degraded)
     return Measured(
-        cost,
-        {"pass_offset_m": offset_m, "entropy_bit": entropy, "lost": lost, "degraded": degraded},
+        cost, {"pass_offset_m": offset_m, "entropy_bit": entropy, "lost": lost, "degraded": degraded}
     )
 
 
