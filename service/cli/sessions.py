@@ -21,7 +21,7 @@ from service.readable import refuse_unreadable
 if TYPE_CHECKING:
     from service.offline.cluster.engines import Engine
     from service.offline.cluster.session_task import Task
-    from service.offline.past.recording_view import RecordingView
+    from service.offline.past.past_page import RecordingView
     from service.offline.past.replay_page import ReplayPage
     from service.offline.past.view import View
     from service.offline.replay.replay import Outcome
@@ -239,7 +239,7 @@ def view(parsed: argparse.Namespace) -> int:
     if parsed.save is not None:
         raise UsageError("--save: a recording is written for rerun; give --rerun, too")
     check_listen(parsed.listen)
-    shown = _recording_view(parsed) if recorded else _map_view(parsed)
+    shown = _view_of(parsed, recorded)
     try:
         print_result({"source": str(first), "address": shown.address}, parsed.json)
         sys.stdout.flush()
@@ -251,14 +251,12 @@ def view(parsed: argparse.Namespace) -> int:
     return 0
 
 
-def _map_view(parsed: argparse.Namespace) -> "View":
-    from service.offline.past.view import View
+def _view_of(parsed: argparse.Namespace, recorded: bool) -> "RecordingView | View":
+    if not recorded:
+        from service.offline.past.view import View
 
-    return View(parsed.source[0], parsed.listen)
-
-
-def _recording_view(parsed: argparse.Namespace) -> "RecordingView":
-    from service.offline.past.recording_view import RecordingView
+        return View(parsed.source[0], parsed.listen)
+    from service.offline.past.past_page import RecordingView
 
     with progress("reading") as shown:
         return RecordingView(parsed.source, parsed.listen, shown)

@@ -20,7 +20,7 @@ from service.encoding import LEVEL_OF_STATE, OK, Status, encode_diagnostics, enc
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import MappingSession
 from service.mapstore.tiles import TileStore
-from service.offline.past.shown_tiles import ShownTiles
+from service.offline.past.past_page import ShownTiles
 from service.offline.replay.pace import Pace
 from service.offline.replay.replay import replay
 from service.offline.replay.setup import ReplayOptions

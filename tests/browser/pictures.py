@@ -31,7 +31,7 @@ from service.mapper.profiles import METHODS, build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import save_map
 from service.mapstore.tiles import TileStore
-from service.offline.past.recording_view import RecordingView
+from service.offline.past.past_page import RecordingView
 from service.offline.past.replay_page import ReplayPage
 from service.offline.past.view import View
 from service.offline.replay.replay import ReplayOptions, write_replay

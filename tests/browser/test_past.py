@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from selenium.webdriver.common.keys import Keys
 
-from service.offline.past.recording_view import RecordingView
+from service.offline.past.past_page import RecordingView
 from service.offline.past.replay_page import ReplayPage
 from service.offline.replay.replay import ReplayOptions, replay
 from tests.browser.scene import Scene, stamp

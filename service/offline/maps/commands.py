@@ -41,18 +41,17 @@ class MapCommands:
         self._show = show
         self._changing = threading.Lock()
         self._user = map_edit.user_name()
-        self._table: requested_by.Table = {
+        self.table: requested_by.Table = {
             "map_look": (requested_by.Look, lambda _: self._look()),
             "map_keyframe": (requested_by.LookAtKeyframe, self._keyframe),
             "map_version": (requested_by.LookAtVersion, self._version),
             "map_edit": (requested_by.Edit, self._edit),
         }
-        self.verbs = tuple(self._table)
 
     def answer(self, verb: str, payload: bytes) -> Answer:
         """JSON in, JSON out; what cannot be done is answered with the reason."""
         try:
-            facts = requested_by.carry_out(self._table, verb, payload)
+            facts = requested_by.carry_out(self.table, verb, payload)
         except CorridorError as error:
             return refusal(str(error).removeprefix(f"{self._folder}: "))  # the page shows one map
         return Answer(True, json.dumps({"ok": True, **facts}).encode())

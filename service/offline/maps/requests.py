@@ -84,10 +84,10 @@ Table = Mapping[
 ]  # verb -> request, who does it
 
 
-def carry_out(table: Table, verb: str, payload: bytes) -> dict[str, Any]:
+def carry_out(table: Table, verb: str, payload: bytes, what: str = "this is a stored map") -> dict[str, Any]:
     """Carries out the request of a page. Raises InputError, which names what is wrong."""
     if verb not in table:
-        raise InputError(f"{verb}: this is a stored map; it knows {', '.join(table)}")
+        raise InputError(f"{what}; it knows {', '.join(table) or 'no command'}")
     kind, do = table[verb]
     try:
         requested = kind.model_validate_json(payload)

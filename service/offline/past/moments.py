@@ -1,22 +1,18 @@
 """What a page shows of one moment of the past, and the command by which a person goes from one to another."""
 
-import json
-import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from drivers.frames import LaserScan
-from drivers.section import Section
 from service.encoding import CHANGES, STANDING, Pose, Status
-from service.errors import CorridorError, fault_words
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
+from service.mapper.edit_requests import RequestModel
 from service.outputs import GraphPicture, Grid
-from service.publishing.commands import Answer, refusal
 from service.web.protocol import (
     encode_changes,
     encode_graph,
@@ -34,7 +30,7 @@ GO_TO = "moment_go_to"
 STALE_NS = 1_500_000_000  # older scans are not of the moment, as on the page of a running service
 
 
-class GoToRequest(Section):
+class GoToRequest(RequestModel):
     """Seconds since the first moment, or since the recording began; behind the last one it means that."""
 
     position_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -69,50 +65,6 @@ class Moment:
     changes: Grid | None = None
     statuses: Sequence[tuple[Status, float]] = ()
     events: Sequence[tuple[float, str]] = ()
-
-
-class Moments(Protocol):
-    """A past that can be shown, moment by moment."""
-
-    @property
-    def first_ns(self) -> int: ...
-    @property
-    def last_ns(self) -> int: ...
-    def at(self, at_ns: int) -> Moment: ...
-
-
-class MomentCommands:
-    """Takes a page to a moment; from any thread, one after another.
-
-    show    called with the moment, ns, and what is to be shown of it, each by its key; may raise InputError
-    """
-
-    verbs = (GO_TO,)
-
-    def __init__(self, moments: Moments, show: Callable[[int, Mapping[str, Payload]], None]) -> None:
-        self._moments = moments
-        self._show = show
-        self._going = threading.Lock()
-
-    def go_to(self, at_ns: int) -> None:
-        """Show this moment; before the first and behind the last that one. Raises InputError."""
-        with self._going:
-            moments = self._moments
-            moment = moments.at(min(max(at_ns, moments.first_ns), moments.last_ns))
-            self._show(moment.at_ns, payloads_of(moment, moments.first_ns, moments.last_ns))
-
-    def answer(self, verb: str, payload: bytes) -> Answer:
-        """JSON in, JSON out; what cannot be done is answered with the reason."""
-        if verb != GO_TO:
-            return refusal(f"this is a recording; it knows {GO_TO}")
-        try:
-            requested = GoToRequest.model_validate_json(payload, strict=True)
-            self.go_to(self._moments.first_ns + round(requested.position_s * 1e9))
-        except ValidationError as error:
-            return refusal(f"{verb}: {fault_words(error)}")
-        except CorridorError as error:
-            return refusal(str(error))
-        return Answer(True, json.dumps({"ok": True}).encode())
 
 
 def payloads_of(moment: Moment, first_ns: int, last_ns: int) -> dict[str, Payload]:

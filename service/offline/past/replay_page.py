@@ -4,19 +4,18 @@ It only observes the mapper, so what a replay writes is the same with and withou
 thread that maps, ten a second at most.
 """
 
-import json
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from drivers.counted import counted
 from drivers.frames import LaserScan
-from drivers.section import Section
 from service.encoding import (
     CHANGES,
     LEVEL_OF_STATE,
@@ -30,18 +29,19 @@ from service.encoding import (
     encode_pose,
     encode_tf_static,
 )
-from service.errors import InputError, fault_words
+from service.errors import InputError
 from service.geometry.se2 import SE2
+from service.mapper.edit_requests import RequestModel
 from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import MappingSession
+from service.offline.maps.requests import Table
 from service.offline.past.driven_moments import DrivenMoments
-from service.offline.past.moments import GO_TO, GoToRequest
+from service.offline.past.moments import GoToRequest
 from service.offline.past.past_page import PastPage
 from service.offline.past.replayed_moments import ReplayedMoments
 from service.offline.replay.pace import Watch
 from service.offline.replay.raw import FROM_RAW
 from service.outputs import NO_GRAPH, GraphPicture, MapperOutput, TileUpdate
-from service.publishing.commands import Answer, refusal
 from service.recording.mcap_source import Session
 from service.web.protocol import encode_changes, encode_standing, to_json
 from service.web.server import start_serving
@@ -52,14 +52,13 @@ PICTURE_S = 0.1  # pose and scans
 STATUS_S = 0.5
 TILES_S = 0.5
 MIN_REST = 20.0  # looking at all tiles may take a share of 1 / MIN_REST of the time
-VERBS = ("replay_pause", "replay_resume", "replay_rate", "replay_go_to")
 
 
-class NoRequest(Section):
+class NoRequest(RequestModel):
     """Request of replay_pause and replay_resume."""
 
 
-class RateRequest(Section):
+class RateRequest(RequestModel):
     """Seconds of the recording a second; 0: as fast as it goes."""
 
     rate: Annotated[float, Field(ge=0.0, le=10_000.0)]
@@ -74,6 +73,8 @@ class ReplayPage(PastPage, Watch):
 
     Raises StorageError where the page cannot be served.
     """
+
+    what = "this is a replay"
 
     def __init__(self, listen: str, name: str, rate: float, is_paused: bool = False) -> None:
         Watch.__init__(self, rate, is_paused)
@@ -92,8 +93,15 @@ class ReplayPage(PastPage, Watch):
         PastPage.__init__(self, name, "", listen)
         start_serving(self.server)
 
-    def verbs(self) -> tuple[str, ...]:
-        return (*VERBS, *super().verbs())
+    def commands(self) -> Table:
+        acts: dict[str, tuple[type[RequestModel], Callable[[Any], None]]] = {
+            "replay_pause": (NoRequest, lambda _: self._pace.pause()),
+            "replay_resume": (NoRequest, lambda _: self._pace.resume()),
+            "replay_rate": (RateRequest, lambda requested: self._pace.set_rate(requested.rate)),
+            "replay_go_to": (GoToRequest, self._go_forward),
+        }
+        steering = {verb: (kind, partial(self._steer, act)) for verb, (kind, act) in acts.items()}
+        return {**steering, **super().commands()}
 
     def begin(self, session: Session, mapper: MappingSession, poses_base_sensor: Mapping[str, SE2]) -> None:
         self._session, self._mapper = session, mapper
@@ -256,32 +264,17 @@ class ReplayPage(PastPage, Watch):
         first_ns = self._log_ns if self._session is None else self._session.recording.first_log_ns
         return max(self._log_ns - first_ns, 0) / 1e9
 
-    def answer(self, verb: str, payload: bytes) -> Answer:
-        if (moments := self.moments) is not None and verb in moments.verbs:
-            return moments.answer(verb, payload)
-        if verb not in VERBS:
-            return refusal(f"this is a replay; it knows {', '.join(VERBS)}, and {GO_TO} when it is finished")
+    def _steer(self, act: Callable[[Any], None], requested: RequestModel) -> dict[str, Any]:
         if self._session is None or self._phase in ("closing loops", "finished"):
-            return refusal(f"the replay is {self._phase}")
-        try:
-            return self._carry_out(verb, payload, self._session.recording.first_log_ns)
-        except ValidationError as error:
-            return refusal(f"{verb}: {fault_words(error)}")
+            raise InputError(f"the replay is {self._phase}")
+        act(requested)
+        return {"position_s": round(self._position_s(), 3)}
 
-    def _carry_out(self, verb: str, payload: bytes, first_ns: int) -> Answer:
-        match verb:
-            case "replay_rate":
-                self._pace.set_rate(RateRequest.model_validate_json(payload, strict=True).rate)
-            case "replay_go_to":
-                requested = GoToRequest.model_validate_json(payload, strict=True)
-                if requested.position_s < (now_s := self._position_s()):
-                    return refusal(
-                        f"the replay is at {now_s:.1f} s and goes forward only; replay the recording again "
-                        "to see what was before"
-                    )
-                self._pace.go_to(first_ns + round(requested.position_s * 1e9))
-            case _:
-                NoRequest.model_validate_json(payload, strict=True)
-                act: Callable[[], Any] = self._pace.pause if verb == "replay_pause" else self._pace.resume
-                act()
-        return Answer(True, json.dumps({"ok": True, "position_s": round(self._position_s(), 3)}).encode())
+    def _go_forward(self, requested: GoToRequest) -> None:
+        assert self._session is not None
+        if requested.position_s < (now_s := self._position_s()):
+            raise InputError(
+                f"the replay is at {now_s:.1f} s and goes forward only; replay the recording again "
+                "to see what was before"
+            )
+        self._pace.go_to(self._session.recording.first_log_ns + round(requested.position_s * 1e9))

@@ -17,12 +17,13 @@ from service.mapstore.files import StoredMap
 from service.offline.maps.change_file import CHANGES_FILE, read_changes
 from service.offline.maps.changed_places import read_changed_places
 from service.offline.maps.commands import MapCommands
+from service.offline.maps.requests import Table
 from service.offline.past.driven_moments import DrivenMoments
 from service.offline.past.past_page import PastPage
 from service.offline.past.result import GRAPH_FILE, Result, map_folder, open_result
 from service.offline.score.trajectory import Trajectory
 from service.outputs import NO_GRAPH, GraphPicture, TileUpdate
-from service.publishing.commands import Answer, refusal
+from service.publishing.commands import Answer
 from service.readable import read_text
 from service.web.protocol import encode_changes, encode_path, series_json
 from service.web.send_queue import Payload
@@ -40,6 +41,8 @@ class View(PastPage):
     Raises InputError where there is no map in it, StorageError where the page cannot be served.
     """
 
+    what = "this cannot be changed, as the folder of a stored map can"
+
     def __init__(self, source: Path, listen: str) -> None:
         self._source = source
         self._result = result = open_result(source)
@@ -51,15 +54,13 @@ class View(PastPage):
         self._show(result)
         start_serving(self.server)
 
-    def verbs(self) -> tuple[str, ...]:
-        return (*(self._map_commands.verbs if self._map_commands else ()), *super().verbs())
+    def commands(self) -> Table:
+        return {**(self._map_commands.table if self._map_commands is not None else {}), **super().commands()}
 
     def answer(self, verb: str, payload: bytes) -> Answer:
-        if (moments := self.moments) is not None and verb in moments.verbs:
-            return moments.answer(verb, payload)
-        if self._map_commands is not None:
+        if self._map_commands is not None and verb in self._map_commands.table:
             return self._map_commands.answer(verb, payload)
-        return refusal("this is a picture of a map and cannot be changed; give the folder of a stored map")
+        return super().answer(verb, payload)
 
     def show_moment(self, at_ns: int, payloads: Mapping[str, Payload]) -> None:
         self._at_ns = at_ns

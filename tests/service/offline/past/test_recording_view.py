@@ -6,8 +6,8 @@ import pytest
 
 from service.cli import main
 from service.errors import InputError, StorageError
-from service.offline.past.moments import GO_TO, Moment, MomentCommands
-from service.offline.past.recording_view import RecordingView
+from service.offline.past.moments import GO_TO
+from service.offline.past.past_page import RecordingView
 from tests.service.offline.past.past_recordings import write_past
 from tests.service.recording.sessions import drive, write_file
 from tests.service.web.conftest import TIMEOUT_S
@@ -27,19 +27,6 @@ def shown(files):
     view.close()
 
 
-class Line:
-    """A past of ten seconds in which nothing happens."""
-
-    first_ns, last_ns = 10**9, 11 * 10**9
-
-    def __init__(self) -> None:
-        self.requested = []
-
-    def at(self, at_ns):
-        self.requested.append(at_ns)
-        return Moment(at_ns, (), (0, 0), "no map")
-
-
 @pytest.mark.parametrize(
     ("verb", "request_", "words"),
     [
@@ -50,14 +37,11 @@ class Line:
         ("reset_map", {}, "it knows moment_go_to"),
     ],
 )
-def test_what_cannot_be_meant_is_refused(verb, request_, words):
-    line, shown = Line(), []
-    answer = MomentCommands(line, lambda at_ns, payloads: shown.append(at_ns)).answer(
-        verb, json.dumps(request_).encode()
-    )
+def test_what_cannot_be_meant_is_refused(verb, request_, words, shown, monkeypatch):
+    monkeypatch.setattr(shown, "show_moment", None)
+    answer = shown.answer(verb, json.dumps(request_).encode())
     assert not answer.ok
     assert words in json.loads(answer.body)["error"]
-    assert shown == line.requested == []
 
 
 def test_a_port_that_is_taken_is_reported(shown, files, caplog):

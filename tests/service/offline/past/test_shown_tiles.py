@@ -3,7 +3,7 @@
 import numpy as np
 
 from service.mapstore.tiles import TileStore
-from service.offline.past.shown_tiles import ShownTiles
+from service.offline.past.past_page import ShownTiles
 from service.outputs import UNKNOWN
 from tests.service.mapstore.tile_makers import tile
 
