@@ -5,11 +5,18 @@ import sys
 from pathlib import Path
 from typing import Any, NoReturn
 
-from service.cli.choices import PROFILES, WORLDS, OneOf
+from service.cli.argument_types import (
+    PROFILES,
+    WORLDS,
+    OneOf,
+    map_and_version,
+    port,
+    positive,
+    positive_int,
+    rate,
+)
 from service.cli.fleet import add_fleet
 from service.cli.map_arguments import add_maps
-from service.cli.map_names import map_and_version
-from service.cli.numbers import port, positive, positive_int, rate
 from service.cli.recordings import add_choice
 from service.cli.security import add_security
 from service.cli.version import ShowVersion

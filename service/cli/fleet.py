@@ -10,9 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from service.cli.argument_types import map_and_version, positive
 from service.cli.console import print_result, progress
-from service.cli.map_names import map_and_version
-from service.cli.numbers import positive
 from service.errors import CorridorError
 from service.log_format import printable
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from service.cli.map_names import map_and_version
+from service.cli.argument_types import map_and_version
 
 Add = Callable[[Any, str, str], argparse.ArgumentParser]
 

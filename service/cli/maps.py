@@ -10,9 +10,8 @@ from service.errors import UsageError
 
 def map_command(parsed: argparse.Namespace) -> int:
     from service.offline.maps.diff import diff_table, map_diff
-    from service.offline.maps.log import log_table, map_log
     from service.offline.maps.loops import loops_table, map_loops
-    from service.offline.maps.work import map_info, map_merge, map_verify
+    from service.offline.maps.work import log_table, map_info, map_log, map_merge, map_verify
 
     match parsed.work:
         case "info":

@@ -109,7 +109,7 @@ def _tell_outcomes(
     """A table of what was mapped and, on stderr, why the others were not; or all of it as JSON. Last, on
     stderr, why scans were degraded or lost; of several sessions all warnings, each with its session.
     """
-    from service.offline.replay.state_reasons import doubts
+    from service.offline.replay.figures import doubts
 
     facts: dict[str, dict[str, Any]] = {}
     for name, outcome, folder in zip(names, outcomes, folders, strict=True):

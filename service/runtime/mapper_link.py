@@ -50,7 +50,7 @@ from service.runtime.mapper_messages import (
     Unusable,
     is_sample,
 )
-from service.runtime.mapper_silence import STILL_S, MapperSilence
+from service.runtime.standstill import STILL_S, MapperSilence
 
 log = logging.getLogger(__name__)
 

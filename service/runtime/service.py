@@ -42,8 +42,7 @@ from service.runtime.notify import Notifier
 from service.runtime.profile_switch import PresentMapping, ProfileSwitch
 from service.runtime.readers import Readers
 from service.runtime.resume import Point, PointWriter, point_file, resumed
-from service.runtime.running_status import RunningStatus, running_status
-from service.runtime.summary import Summary
+from service.runtime.summary import RunningStatus, Summary, running_status
 from service.runtime.workers import Workers
 from service.sinks.fan_out import CLOSE_S, FLUSH_S, Sinks
 from service.sinks.registry import SINKS

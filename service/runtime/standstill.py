@@ -1,4 +1,4 @@
-"""Whether a process with open work computes, waits for a processor, or stands still."""
+"""Whether a process with open work computes, waits for a processor, or stands still; the silent mapper."""
 
 import os
 import time
@@ -6,6 +6,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+STUCK_S = 10.0  # items wait, and the mapper has sent nothing for so long: it is ended
+# So early where it was stopped for half of that, or computed for half of it and has announced no long work:
+# a scan takes milliseconds, and one that a busy machine leaves without a processor does neither.
+STILL_S = 2.0
 
 
 class Standstill:
@@ -51,3 +55,37 @@ def _now(pid: int) -> _Now:
         return _Now("", 0.0)
     fields = stat.rpartition(")")[2].split()
     return _Now(fields[0], (int(fields[11]) + int(fields[12])) / _TICKS_PER_S)
+
+
+class MapperSilence:
+    """Silence of the mapper that items are sent to."""
+
+    def __init__(self) -> None:
+        self._heard_s = 0.0  # host monotonic
+        self._standstill = Standstill()
+        self._long_works = 0  # announced and not ended
+
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self._heard_s
+
+    def begin(self) -> None:
+        """Another mapper gets the items from now on."""
+        self._long_works = 0
+        self.heard()
+
+    def heard(self) -> None:
+        self._heard_s = time.monotonic()
+        self._standstill.reset()
+
+    def announce(self, has_begun: bool) -> None:
+        """Take a LongWork message."""
+        self._long_works += 1 if has_begun else -1
+
+    def is_too_long(self, pid: int) -> bool:
+        """pid: of the mapper, while an answer is due."""
+        if self.seconds <= STILL_S / 2.0:
+            return False
+        still_s, computed_s = self._standstill.seconds(pid)
+        idle_s = still_s if self._long_works else max(still_s, computed_s)
+        return self.seconds > STUCK_S or (self.seconds > STILL_S and idle_s > STILL_S / 2.0)

@@ -4,9 +4,12 @@ Every connection is a file that the process may open less: recordings and device
 """
 
 import asyncio
+import ipaddress
 import logging
 import ssl
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Collection
+from typing import Protocol, TypeVar
 
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
@@ -18,6 +21,8 @@ HANDSHAKE_S = 10.0  # of TLS
 AT_ONCE = 16  # connections that asyncio accepts before any of them counts: so many may be too many
 
 log = logging.getLogger(__name__)
+SHARE_RESERVED = 4  # a quarter of the places
+SHARE_OF_ADDRESS = 3  # of the rest, a third for one address
 
 
 class _Refused(asyncio.Protocol):
@@ -80,4 +85,56 @@ class Listener:
         if record.exc_info is None or not isinstance(record.exc_info[1], HttpProcessingError):
             return True
         self._refused()
+        return False
+
+
+class Seated(Protocol):
+    """A browser at the page."""
+
+    @property
+    def address(self) -> str: ...
+    @property
+    def is_guest(self) -> bool: ...  # it has shown no token
+    @property
+    def must_show(self) -> bool: ...  # a token, soon
+
+
+SeatedT = TypeVar("SeatedT", bound=Seated)
+
+
+class Seats:
+    """most: places in all."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._for_guests = most - most // SHARE_RESERVED
+        self._of_address = max(1, self._for_guests // SHARE_OF_ADDRESS)
+
+    def must_show(self, seated: Collection[Seated], address: str) -> bool:
+        """Whether a newcomer has a place for a moment only, unless it shows a token.
+
+        Programs of this machine may be many behind a proxy: no limit for each.
+        """
+        staying = Counter(one.address for one in seated if one.is_guest and not one.must_show)
+        return staying.total() >= self._for_guests or (
+            staying[address] >= self._of_address and not _is_loopback(address)
+        )
+
+    def has_place(self, seated: Collection[Seated]) -> bool:
+        return len(seated) < self._most
+
+    def to_leave(self, seated: Collection[SeatedT]) -> SeatedT | None:
+        """The browser that is closed for a new one: of guests, first those that must show a token, the oldest
+        of the address that has most. None where all have shown one. `seated`: the oldest first.
+        """
+        guests = [one for one in seated if one.is_guest]
+        among = [one for one in guests if one.must_show] or guests
+        crowd = Counter(one.address for one in among)
+        return max(among, key=lambda one: crowd[one.address], default=None)
+
+
+def _is_loopback(address: str) -> bool:
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
         return False

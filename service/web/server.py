@@ -34,13 +34,12 @@ from service.version import VERSION
 from service.web.access import HEADERS, host_fault, origin_fault, own_names
 from service.web.browser import Browser, Gate
 from service.web.config import WebConfig, split_listen
-from service.web.connections import Listener
+from service.web.connections import Listener, Seats
 from service.web.downloads import Downloads
 from service.web.help import Manual
 from service.web.live_view import LiveView, Shown
 from service.web.protocol import LARGEST_ASKED, CommandRequest, ResourceRequest, to_json
 from service.web.resources import Kind, Resources
-from service.web.seats import Seats
 from service.web.tile_stream import MapSource, TileFeed
 from service.web.tokens import Attempts, Tokens
 

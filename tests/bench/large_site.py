@@ -6,16 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from service.geometry.se2 import SE2
-from service.offline.score.trajectory import write_tum
 from simulators.trajectory import Follow, Limits, Trajectory, plan_drive
 from simulators.truth import noise_of
 from simulators.world import Point, World, make_world
 from simulators.worlds.mall import AISLES_X, AISLES_Y, SEED, mall_plan
-from tests.recorded_drive import record
-from tests.service.recording.sessions import T0_NS
-from tests.simulated import FORWARD, LMS100_50HZ, Wheels, begun_beside, drive, phase_m
+from tests.bench.site_drives import record_beside_truth
+from tests.simulated import LMS100_50HZ, Wheels, begun_beside, drive, phase_m
 
-DRIVE_M, HOUR_NS = 500.0, 3600 * 10**9
+DRIVE_M = 500.0
 LANES_X = (*AISLES_X, 143.0, 170.0, 195.0)  # 200 m by 100 m
 LIMITS = Limits(speed_mps=2.0, lateral_mps2=0.8)
 LASER = replace(LMS100_50HZ, beams=271, rate_hz=25.0, step_deg=1.0, every=8)  # 3.1 scans a second
@@ -27,14 +25,9 @@ def record_drive(seed: int, folder: Path) -> tuple[Path, Path, float]:
     planned = random_drive(seed)
     world = begun_beside(site_of(planned), *phase_m(seed))
     made = drive(world, LASER, planned.duration_s, seed, Wheels())
-    begin_ns = T0_NS + seed * HOUR_NS
-    session = record(made.frames, {"front": FORWARD}, folder / "in" / str(seed), begin_ns)
-    session = session.rename(folder / f"site_{seed}.mcap")
-    truth = folder / f"site_{seed}.tum"
     start = planned.start
-    begin = SE2(start.x_m, start.y_m, start.theta_rad) @ made.world_first
-    write_tum(truth, ((stamp_ns + begin_ns, begin @ pose) for stamp_ns, pose in sorted(made.truth.items())))
-    return session, truth, planned.length_m
+    first = SE2(start.x_m, start.y_m, start.theta_rad) @ made.world_first
+    return *record_beside_truth(made, first, seed, folder), planned.length_m
 
 
 def site_of(planned: Trajectory) -> World:

@@ -19,7 +19,7 @@ from simulators.worlds.mall import mall
 from simulators.worlds.office import START, office
 from tests.recorded_drive import record
 from tests.service.recording.sessions import T0_NS
-from tests.simulated import FORWARD, LMS100_50HZ, Wheels, begun_beside, drive, phase_m
+from tests.simulated import FORWARD, LMS100_50HZ, Drive, Wheels, begun_beside, drive, phase_m
 
 SEEDS = range(11, 23)
 ELSEWHERE = (21, 22)  # of another building
@@ -45,12 +45,16 @@ def record_drive(seed: int, folder: Path) -> tuple[Path, Path]:
     world = floor() if seed in ELSEWHERE else site()
     world = begun_beside(backwards(world) if seed % 2 == 0 else world, *phase_m(seed))
     made = drive(world, LASER, SECONDS, seed, Wheels(), stand_s=-(seed - SEEDS[0]) * APART_S)
+    return record_beside_truth(made, made.world_first, seed, folder)
+
+
+def record_beside_truth(made: Drive, first: SE2, seed: int, folder: Path) -> tuple[Path, Path]:
+    """first: pose of the first scan in the frame of the poses written"""
     begin_ns = T0_NS + seed * HOUR_NS
     session = record(made.frames, {"front": FORWARD}, folder / "in" / str(seed), begin_ns)
     session = session.rename(folder / f"site_{seed}.mcap")
     truth = folder / f"site_{seed}.tum"
-    poses = ((stamp_ns + begin_ns, made.world_first @ pose) for stamp_ns, pose in sorted(made.truth.items()))
-    write_tum(truth, poses)
+    write_tum(truth, ((stamp_ns + begin_ns, first @ pose) for stamp_ns, pose in sorted(made.truth.items())))
     return session, truth
 
 

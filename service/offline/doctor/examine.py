@@ -8,10 +8,10 @@ from pathlib import Path
 from service.config import ServiceConfig, load_config
 from service.errors import ConfigError
 from service.offline.doctor import endpoints, folders, host
-from service.offline.doctor.cache import look_at_cache
 from service.offline.doctor.certificates import look_at_certificates
 from service.offline.doctor.devices import Patience, examine_sensor, look_at_shared
 from service.offline.doctor.findings import Finding, Report, fault, ok
+from service.offline.doctor.host import look_at_cache
 from service.offline.doctor.machine import Machine
 from service.offline.doctor.running import ask_health, from_health
 

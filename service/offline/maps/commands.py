@@ -19,8 +19,8 @@ from service.mapstore.files import StoredMap, load_map
 from service.offline.maps import edit as map_edit
 from service.offline.maps import requests as requested_by
 from service.offline.maps.disagreeing_passes import disagreeing_passes
-from service.offline.maps.log import map_log
 from service.offline.maps.loops import as_pairs, loops_of
+from service.offline.maps.work import map_log
 from service.publishing.commands import Answer, refusal
 from service.web.protocol import encode_tiles
 

@@ -1,5 +1,6 @@
-"""`corridor map info`, `verify` and `merge`."""
+"""`corridor map info`, `log`, `verify` and `merge`."""
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,9 @@ from service.mapper.by_hand import DRAWN_WALL
 from service.mapper.graph.edit.merging import Merged, MergeError, merge_graphs
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.saved_graph import SavedGraph
-from service.mapstore.files import StoredMap, check_versions, load_map, save_map, version_folder
+from service.mapstore.edits import Version
+from service.mapstore.files import StoredMap, check_versions, load_map, save_map, version_folder, versions_of
 from service.offline.maps.changed_places import read_changed_places
-from service.offline.maps.log import utc
 from service.outputs import UNKNOWN
 
 
@@ -171,4 +172,42 @@ def _reported(folder: Path, merged: Merged) -> dict[str, Any]:
             "max": round(1e3 * float(merged.residual_m.max()), 1),
         },
         "residual_deg_rms": round(float(np.degrees(np.sqrt((merged.residual_rad**2).mean()))), 3),
+    }
+
+
+def map_log(folder: Path) -> dict[str, Any]:
+    """The versions by rising number, for JSON. Raises InputError where no map can be read."""
+    versions, current, problems = versions_of(folder)
+    return {
+        "map": str(folder),
+        "current": current,
+        "versions": [_version_facts(version, version.number == current) for version in versions],
+        "problems": problems,
+    }
+
+
+def log_table(log: dict[str, Any]) -> list[list[str]]:
+    """Rows of words, heads first."""
+    rows = [["version", "when", "who", "what", "words"]]
+    for version in log["versions"]:
+        mark = "*" if version["is_current"] else ""
+        rows.append([f"{version['version']}{mark}", *(version[k] for k in ("saved", "who", "what", "words"))])
+    return rows
+
+
+def utc(unix_ns: int) -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(unix_ns / 1e9))
+
+
+def _version_facts(version: Version, is_current: bool) -> dict[str, Any]:
+    edit, about = version.edit, version.about
+    return {
+        "version": version.number,
+        "is_current": is_current,
+        "saved": utc(version.saved_ns),
+        "who": edit.who if edit is not None else about.get("vehicle", "-"),
+        "what": edit.what if edit is not None else "saved",
+        "words": edit.words if edit is not None else f"from {about.get('merged_from', 'mapping')}",
+        "made_in": edit.before if edit is not None else None,
+        "restores": edit.restores if edit is not None else None,
     }

@@ -35,10 +35,9 @@ from service.mapper.edit_requests import RequestModel
 from service.mapper.map_changes import MapChanges
 from service.mapper.mapping_session import MappingSession
 from service.offline.maps.requests import Table
-from service.offline.past.driven_moments import DrivenMoments
+from service.offline.past.driven_moments import DrivenMoments, ReplayedMoments
 from service.offline.past.moments import GoToRequest
 from service.offline.past.past_page import PastPage
-from service.offline.past.replayed_moments import ReplayedMoments
 from service.offline.replay.pace import Watch
 from service.offline.replay.raw import FROM_RAW
 from service.outputs import NO_GRAPH, GraphPicture, MapperOutput, TileUpdate

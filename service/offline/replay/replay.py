@@ -15,13 +15,12 @@ from service.compile.warm_up import KernelProgress, warm_up_in_turn
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError
 from service.mapstore.begin_in import begin_in
+from service.offline.replay.figures import Warned, doubts
 from service.offline.replay.pace import Watch
 from service.offline.replay.raw import FROM_RAW, remake_frames
 from service.offline.replay.result import Extra, Replay, write_replay
 from service.offline.replay.run import MAPPING, Progress, ReplayRun
 from service.offline.replay.setup import ReplayOptions, choice_of, set_up
-from service.offline.replay.state_reasons import doubts
-from service.offline.replay.warned import Warned
 from service.offline.report import REPORT_FILE, write_report
 from service.offline.writing import refuse_unwritable_folder
 from service.readable import refuse_unreadable

@@ -1,19 +1,33 @@
 """The result of a replay, and its files."""
 
 import json
+import logging
 import shutil
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
 
-from service.encoding import pose_on_wire
+from service.encoding import (
+    LEVEL_OF_STATE,
+    Message,
+    Status,
+    encode_diagnostics,
+    encode_graph,
+    encode_grid,
+    encode_odom,
+    encode_pose,
+    encode_tf,
+    encode_tf_static,
+    pose_on_wire,
+)
 from service.errors import StorageError, words_of
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
+from service.mapper.graph.model.graph_picture import draw_saved
 from service.mapper.map_changes import MapChanges
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.annotated import PALETTE, annotated
@@ -22,8 +36,10 @@ from service.mapstore.geo_file import GEO_FILE, write_geo
 from service.mapstore.picture import Picture, picture_of_tiles
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
+from service.mapstore.tiles import grid_of_tiles
 from service.offline.export.geo_export import Poses, write_world_file
 from service.offline.export.utm import UTM_MAX_LATITUDE_DEG
+from service.offline.importing.session_file import write_messages
 from service.offline.maps.change_file import CHANGES_FILE, write_changes
 from service.offline.past.result import (
     FIRST_VERSION,
@@ -35,13 +51,15 @@ from service.offline.past.result import (
     UNEDITED,
     open_result,
 )
-from service.offline.replay.result_session import RESULT_SESSION, write_result_session
-from service.offline.replay.states_file import STATES_FILE, write_states
+from service.offline.replay.states_file import STATES_FILE, sigmas_of, write_states
 from service.offline.report import REPORT_FILE
 from service.offline.score.trajectory import write_tum
 from service.offline.writing import complete_files
 from service.outputs import MapperOutput, TileUpdate
 
+log = logging.getLogger(__name__)
+
+RESULT_SESSION = "session.mcap"
 Extra = Literal["mcap", "report"]  # what is written only on request
 
 
@@ -160,3 +178,44 @@ def _store_map(done: Replay, folder: Path) -> None:
         about = {"profile": str(done.summary["profile"])}
         save_map(folder, done.tiles, done.outputs[-1].stamp_ns, about, done.geo, done.graph)
         keep_version(folder, FIRST_VERSION, "the trajectory of the replay's result lies in this version")
+
+
+def write_result_session(path: Path, done: Replay) -> None:
+    """The map and the graph as they are in the end at the first stamp; from there on `/pose`, `/odom`, `/tf`
+    and `/diagnostics` of each scan at its own stamp. Poses are those of trajectory.tum, covariances and
+    states as live. A map that is too large for one message is left out.
+
+    Raises StorageError.
+    """
+    about = {"corridor": str(done.summary["corridor"]), "profile": str(done.summary["profile"])}
+    write_messages(path, _messages(done), {"replay": about})
+
+
+def _messages(done: Replay) -> Iterator[Message]:
+    first_ns = done.outputs[0].stamp_ns
+    yield encode_tf_static(done.poses_base_sensor, first_ns, first_ns, upside_down=done.upside_down)
+    try:
+        yield encode_grid(grid_of_tiles(done.tiles), first_ns, first_ns)
+    except StorageError as error:
+        log.warning("%s has no /map: %s", RESULT_SESSION, error)
+    if (graph := done.graph or done.session) is not None:
+        yield encode_graph(draw_saved(graph), first_ns)
+    for output, pose_map_base, laser in zip(done.outputs, done.poses_map_base, done.lasers, strict=True):
+        at = replace(output, pose_map_odom=pose_map_base @ output.pose_odom_base.inverse())
+        for encode in (encode_pose, encode_odom, encode_tf):
+            yield encode(at, output.stamp_ns)
+        yield encode_diagnostics("diagnostics", [_status(output, laser)], output.stamp_ns, output.stamp_ns)
+
+
+def _status(output: MapperOutput, laser: str) -> Status:
+    along_m, across_m, heading_deg = sigmas_of(output)
+    values = {
+        "state": output.state,
+        "reason_id": output.reason.id,
+        "sigma_along_m": f"{along_m:.4f}",
+        "sigma_across_m": f"{across_m:.4f}",
+        "sigma_heading_deg": f"{heading_deg:.4f}",
+        "inlier_ratio": f"{output.inlier_ratio:.3f}",
+        "laser": laser,
+    }
+    return Status("mapping", LEVEL_OF_STATE[output.state], output.reason or output.state, values)

@@ -29,18 +29,21 @@ from service.mapper.mapping_session import (
     SwitchProfile,
 )
 from service.mapper.pipeline import Mapper
-from service.mapper.profiles import BeginIn, build_mapper
+from service.mapper.profiles import BeginIn, MappingConfig, build_mapper, with_profile
 from service.mapper.saved_graph import SavedGraph
 from service.mapper.timed import note_mapped
 from service.mapstore.begin_in import begin_in
 from service.mapstore.patch_files import PatchFiles
-from service.offline.replay.figures import ComponentTimes, peak_rss_mb, percentiles_ms
+from service.offline.replay.figures import (
+    ComponentTimes,
+    SensorRates,
+    StateReasons,
+    peak_rss_mb,
+    percentiles_ms,
+)
 from service.offline.replay.pace import Watch
-from service.offline.replay.profile_switches import ProfileSwitches
 from service.offline.replay.result import Replay
-from service.offline.replay.sensor_rates import SensorRates
 from service.offline.replay.setup import ReplaySetup
-from service.offline.replay.state_reasons import StateReasons
 from service.outputs import STATES, MapperOutput, TileUpdate
 from service.recording.mcap_source import Session
 from service.recording.sources import SCAN_TYPES
@@ -333,3 +336,47 @@ def _in_words(devices: Mapping[str, Mapping[str, Any]]) -> str:
         + ("refused" if device["sensor"] is None else f"read as {device['sensor']}")
         for frame, device in devices.items()
     )
+
+
+class ProfileSwitches:
+    """How frames are mapped from each switch on; the map begins again at each in any case.
+
+    configured     as the replay begins; a switch back to its profile takes its settings from here
+    is_followed    False: --profile names the profile of the replay. One that is only localised in a
+                   stored map does not follow either, for no other profile can do that
+    """
+
+    def __init__(self, configured: MappingConfig, is_followed: bool) -> None:
+        self.present = self._configured = configured
+        self._is_followed = is_followed and configured.mode == "mapping"
+        self._taken: list[dict[str, Any]] = []
+
+    def take(self, step: SwitchProfile, first_log_ns: int) -> bool:
+        """Whether `present` is another one now. Raises InputError where this version has no such profile."""
+        at_s = round((step.arrived_ns - first_log_ns) / 1e9, 3)
+        if not self._is_followed:
+            log.warning(
+                "%.3f s after its beginning the recording was mapped on with the profile %s; this replay "
+                "stays with %s, and begins a new map there",
+                *(at_s, step.profile, self.present.profile),
+            )
+            return False
+        if step.profile == self._configured.profile:
+            self.present = self._configured
+        else:
+            try:
+                self.present = with_profile(step.profile, self._configured)
+            except ValueError as error:
+                raise InputError(
+                    f"{at_s:.3f} s after its beginning the recording was mapped on with another profile: "
+                    f"{error} Give the profile for the whole replay by --profile"
+                ) from error
+        self._taken.append({"at_s": at_s, "profile": step.profile})
+        log.info(
+            "%.3f s after the beginning: mapped on with the profile %s, in a new map", at_s, step.profile
+        )
+        return True
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the summary: nothing where the profile stayed."""
+        return {"profile_switches": self._taken} if self._taken else {}

@@ -30,7 +30,7 @@ class StateReason(_Facts):
 
 
 class SensorFrames(_Facts):
-    """Frames of a sensor, as in service.offline.replay.sensor_rates."""
+    """Frames of a sensor, as in service.offline.replay.figures."""
 
     frames: int
     rate_hz: float | None

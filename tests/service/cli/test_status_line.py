@@ -10,7 +10,7 @@ import pytest
 from service.cli.status_line import CLEAR, PLAIN_S, StatusLine, status_line
 from service.geometry.se2 import SE2
 from service.runtime.metrics import Percentiles
-from service.runtime.running_status import RunningStatus
+from service.runtime.summary import RunningStatus
 
 OK = RunningStatus(
     "ok", "ok", SE2(1.234, -5.0, 1.5707963), {"front": 50.0, "imu": 199.6}, Percentiles(1.9, 3.0, 43.4, 50.0),

@@ -15,7 +15,7 @@ import pytest
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.encoding import decode_pose, encode_frame
 from service.geometry.se2 import SE2
-from service.runtime import mapper_link, mapper_silence
+from service.runtime import mapper_link, standstill
 from service.runtime.mapper_link import MapperLink, MapperLostError
 from service.runtime.mapper_messages import (
     Answer,
@@ -352,7 +352,7 @@ def test_a_mapper_that_stands_still_or_computes_without_end_is_ended(
     drive.start().scan(3)
     drive.until_mapped()
     drive.until_standby(3)
-    monkeypatch.setattr(mapper_silence, "STILL_S", 0.3)
+    monkeypatch.setattr(standstill, "STILL_S", 0.3)
     drive.scan(fatal=True)
     drive.until(lambda: bool(drive.failure))
     assert "said nothing for" in drive.heard.takeovers[0]
@@ -368,7 +368,7 @@ def test_a_mapper_that_even_a_kill_does_not_end_is_left_behind(
     drive.until_standby(3)
     pid = drive.link.pid
     os.kill(pid, signal.SIGSTOP)
-    monkeypatch.setattr(mapper_silence, "STUCK_S", 0.8)
+    monkeypatch.setattr(standstill, "STUCK_S", 0.8)
     monkeypatch.setattr(mapper_link, "END_S", 0.1)
     monkeypatch.setattr(mapper_link, "_kill", lambda pid: None)
     try:

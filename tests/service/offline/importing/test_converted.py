@@ -12,7 +12,7 @@ from service import encoding
 from service.cli import main
 from service.encoding import Message
 from service.errors import InputError
-from service.offline.past.replayed_moments import ReplayedMoments
+from service.offline.past.driven_moments import ReplayedMoments
 from service.offline.replay.replay import replay
 from service.offline.replay.setup import ReplayOptions
 from service.recording.choice import Choice

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.geometry import poses as se2
-from service.offline.maps.corrected_path import corrected_path
+from service.offline.past.result import corrected_path
 from tests.service.mapper.graph.loops.rings import saved_of
 
 TENTH_NS = 10**8

@@ -17,7 +17,7 @@ from service.mapstore.begin_in import begin_in
 from service.mapstore.files import load_map, save_map
 from service.mapstore.in_use import InUse
 from service.offline.maps.edit import edit_map, erase, stamp_of, undo, wall
-from service.offline.maps.log import map_log
+from service.offline.maps.work import map_log
 from service.outputs import TileUpdate
 from tests.service.mapper.graph.loops.rings import CABINET, saved_of
 from tests.service.mapstore.tile_makers import tile

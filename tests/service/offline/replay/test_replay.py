@@ -5,18 +5,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 
 from service.cli import main
 from service.encoding import encode_frame, encode_tf_static
 from service.errors import ConfigError, InputError
 from service.geometry.se2 import SE2
 from service.offline.replay.replay import ReplayOptions, group_sessions, replay, result_folders, write_replay
+from service.offline.replay.result import RESULT_SESSION
 from service.offline.score.trajectory import read_tum
 from tests.service.offline.recorded_drives import BEAMS, CONFIG, T0_NS, RecordDrive, odometry_at, room_scan
 from tests.service.recording.sessions import write_file
 from tests.soaked import in_soak
 
 TWO_LASERS = CONFIG.replace("}}}", "}}, rear: {type: hokuyo_utm30lx, host: b, mounting: {x_m: %s}}}") % (0, 0)
+SCANS = 40
 
 
 @pytest.mark.parametrize(
@@ -219,3 +222,25 @@ def test_scans_without_one_beam_that_came_back_are_refused_in_words(
     assert last.startswith(f"corridor: {tmp_path / 'blind.mcap'}: ")
     assert expected in last
     assert not list(out.glob("*"))
+
+
+def test_another_reader_of_ros_2_messages_finds_poses_map_states_and_loops(
+    record_drive: RecordDrive, tmp_path
+):
+    done = replay([record_drive(scans=SCANS)], ReplayOptions())
+    done.poses_map_base = [
+        pose.inverse() for pose in done.poses_map_base
+    ]  # as the last optimisation left them
+    write_replay(done, tmp_path / "out", ["mcap"])
+    with AnyReader([tmp_path / "out" / RESULT_SESSION]) as reader:
+        messages = [
+            (connection.topic, reader.deserialize(raw, connection.msgtype))
+            for connection, _, raw in reader.messages()
+        ]
+    topics = [topic for topic, _ in messages]
+    assert topics[:3] == ["/tf_static", "/map", "/graph"]
+    for topic in ("/odom", "/tf", "/diagnostics"):
+        assert topics.count(topic) == SCANS
+    positions = [message.pose.pose.position for topic, message in messages if topic == "/pose"]
+    expected = [pose.x_m for pose in done.poses_map_base]
+    assert [place.x for place in positions] == pytest.approx(expected, abs=1e-12)

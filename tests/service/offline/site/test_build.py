@@ -26,8 +26,7 @@ from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import load_map, save_map
 from service.offline.cluster.engines import Ended, in_turn
 from service.offline.cluster.tasks import AnyTask, Done
-from service.offline.maps.log import utc
-from service.offline.maps.work import map_info
+from service.offline.maps.work import map_info, utc
 from service.offline.replay.setup import ReplayOptions
 from service.offline.score.trajectory import read_tum
 from service.offline.site import growth

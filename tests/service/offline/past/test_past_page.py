@@ -2,12 +2,16 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from service.cli import main
 from service.errors import InputError, StorageError
+from service.mapstore.tiles import TileStore
 from service.offline.past.moments import GO_TO
-from service.offline.past.past_page import RecordingView
+from service.offline.past.past_page import RecordingView, ShownTiles
+from service.outputs import UNKNOWN
+from tests.service.mapstore.tile_makers import tile
 from tests.service.offline.past.past_recordings import write_past
 from tests.service.recording.sessions import drive, write_file
 from tests.service.web.conftest import TIMEOUT_S
@@ -67,3 +71,23 @@ def test_a_recording_that_was_never_finished_is_sent_to_recover(name, tmp_path, 
     (tmp_path / name).write_bytes((tmp_path / "v.mcap").read_bytes()[:-100])
     assert main(["view", str(tmp_path / name)]) == InputError.exit_code
     assert f"{name} was never finished; make it whole with `corridor recover" in capsys.readouterr().err
+
+
+def test_only_what_differs_gets_a_new_version_and_what_is_gone_becomes_unknown():
+    store = TileStore()
+    shown, first, second = ShownTiles(store), tile(0, 0, 7, value=3), tile(1, 0, 9, value=4)
+    shown.take([first, second])
+    assert [t.version for t in store.since(0)] == [1, 2]
+    coarse = tile(1, 0, 1, value=5, level=1)
+    shown.take([tile(0, 0, 1, value=3), tile(1, 0, 1, value=90), coarse])
+    assert [(t.ix, t.level, t.version, int(t.cells[0, 0])) for t in store.since(2)] == [
+        (1, 0, 3, 90),
+        (1, 1, 4, 5),
+    ]
+    shown.take([tile(1, 0, 2, value=90), coarse])
+    (gone,) = store.since(4)
+    assert gone.ix == 0
+    assert (gone.cells == UNKNOWN).all()
+    shown.take([first, tile(1, 0, 2, value=90), coarse])
+    (back,) = store.since(5)
+    np.testing.assert_array_equal(back.cells, first.cells)
