@@ -12,22 +12,10 @@ from typing import TypeVar
 
 from drivers.dialogue import Pause
 from drivers.errors import DeviceError, ProtocolError, TransportError
+from drivers.hokuyo_utm30lx import protocol
 from drivers.hokuyo_utm30lx.config import HokuyoUtm30lxConfig
 from drivers.hokuyo_utm30lx.geometry import Geometry
 from drivers.hokuyo_utm30lx.models import mismatch
-from drivers.hokuyo_utm30lx.protocol import (
-    ABNORMAL,
-    DENIED,
-    FIRMWARE_UPDATE,
-    GENERAL_STATUS,
-    OK,
-    SCAN_STATUS,
-    SCIP_1,
-    UNSTABLE,
-    Reply,
-    read_info,
-    read_time,
-)
 from drivers.hokuyo_utm30lx.scan_clock import TimeSample
 from drivers.hokuyo_utm30lx.scans import ScanRequest
 
@@ -61,7 +49,7 @@ class Ask:
 class Answer:
     """A reply, and between which host times the device made it."""
 
-    reply: Reply
+    reply: protocol.Reply
     requested_ns: int
     arrived_ns: int
 
@@ -105,18 +93,18 @@ class UtmDialogue:
             attempts += 1
             if reply is None:
                 continue
-            if reply.status == OK:
+            if reply.status == protocol.OK:
                 return
             refusal = reply.status
-            if refusal == SCIP_1:
+            if refusal == protocol.SCIP_1:
                 self.counters["switched_to_scip_2"] += 1
                 yield from self._ask("SCIP2.0")
-            elif refusal == ABNORMAL:
+            elif refusal == protocol.ABNORMAL:
                 yield from self._reboot()
-            elif refusal == UNSTABLE:
+            elif refusal == protocol.UNSTABLE:
                 attempts -= 1
                 yield from self._warm_up()
-            elif refusal == FIRMWARE_UPDATE:
+            elif refusal == protocol.FIRMWARE_UPDATE:
                 raise DeviceError("waits for new firmware (status 0I); finish the update with Hokuyo's tool")
             elif attempts >= ATTEMPTS:
                 yield from self._reset()
@@ -144,10 +132,10 @@ class UtmDialogue:
     def _look_at_state(self) -> Dialogue[None]:
         """State by II; a device that does not report it counts as well."""
         reply = yield from self._ask("II")
-        if reply is None or reply.status != OK:
+        if reply is None or reply.status != protocol.OK:
             return
         try:
-            reported = read_info(reply)
+            reported = protocol.read_info(reply)
         except ProtocolError:
             self.counters["answers_unusable"] += 1
             return
@@ -159,7 +147,7 @@ class UtmDialogue:
         on arrivals alone."""
         self.phase = "asking its clock"
         reply = yield from self._ask("TM0")
-        if reply is None or reply.status not in (OK, ALREADY):
+        if reply is None or reply.status not in (protocol.OK, ALREADY):
             self.counters["time_sync_refused"] += 1
             self.refusals.append("configured time_sync not taken: stamps are uncertain by about 1 ms")
         else:
@@ -170,11 +158,11 @@ class UtmDialogue:
         unanswered = 0
         while len(self.time_samples) < TIME_SAMPLES and unanswered < TIME_SAMPLES_UNANSWERED:
             answer = yield Ask("TM1")
-            if answer is None or answer.reply.status != OK:
+            if answer is None or answer.reply.status != protocol.OK:
                 unanswered += 1
                 continue
             try:
-                device_ms = read_time(answer.reply)
+                device_ms = protocol.read_time(answer.reply)
             except ProtocolError:
                 self.counters["answers_unusable"] += 1
                 unanswered += 1
@@ -186,7 +174,7 @@ class UtmDialogue:
         for attempt in range(LASER_ATTEMPTS):
             if attempt:
                 yield Pause(LASER_PAUSE_S)
-            reply = yield from self._accepted("BM", (OK, ALREADY, "01"))
+            reply = yield from self._accepted("BM", (protocol.OK, ALREADY, "01"))
             if reply.status != "01":
                 return
         raise DeviceError(
@@ -215,13 +203,13 @@ class UtmDialogue:
                 self.refusals.append(f"configured {key} {angle_deg:g} not taken: it sees to {seen_deg:g} deg")
         request = ScanRequest(config.scan_command, first, last, config.cluster, config.skip_scans)
         while True:
-            reply = yield from self._accepted(request.text, (OK, *SCAN_STATUS, *UNKNOWN))
-            if reply.status == OK:
+            reply = yield from self._accepted(request.text, (protocol.OK, *protocol.SCAN_STATUS, *UNKNOWN))
+            if reply.status == protocol.OK:
                 break
             setting, simpler = self._simpler(request, reply.status)
             if simpler is None:
                 question = f"it does not know the command; is this a {config.limits.name}?"
-                words = SCAN_STATUS.get(reply.status, question)
+                words = protocol.SCAN_STATUS.get(reply.status, question)
                 raise DeviceError(f"{request.text} refused (status {reply.status}): {words}")
             reason = f"{request.command} refused (status {reply.status})"
             self.refusals.append(f"configured {setting} not taken: {reason}")
@@ -242,7 +230,7 @@ class UtmDialogue:
             return "intensity", replace(request, command="MD")
         return "", None
 
-    def _accepted(self, command: str, statuses: tuple[str, ...]) -> Dialogue[Reply]:
+    def _accepted(self, command: str, statuses: tuple[str, ...]) -> Dialogue[protocol.Reply]:
         """Repeat the request until one of these comes. Raises DeviceError on another refusal that stays."""
         refusal = ""
         attempts = 0
@@ -250,14 +238,14 @@ class UtmDialogue:
             reply = yield from self._ask(command)
             if reply is not None and reply.status in statuses:
                 return reply
-            if reply is not None and reply.status == UNSTABLE:
+            if reply is not None and reply.status == protocol.UNSTABLE:
                 yield from self._warm_up()
                 continue
             attempts += 1
             refusal = refusal if reply is None else reply.status
-            if refusal == ABNORMAL:
+            if refusal == protocol.ABNORMAL:
                 yield from self._reboot()
-            elif refusal == DENIED:
+            elif refusal == protocol.DENIED:
                 yield from self._reset()
         if refusal:
             raise DeviceError(
@@ -269,9 +257,9 @@ class UtmDialogue:
     def _understood(self, command: str, parse: Callable[[dict[str, str]], T]) -> Dialogue[T]:
         """Repeat the request until the lines can be read. Raises ProtocolError where they never can."""
         for attempt in range(ATTEMPTS):
-            reply = yield from self._accepted(command, (OK,))
+            reply = yield from self._accepted(command, (protocol.OK,))
             try:
-                return parse(read_info(reply))
+                return parse(protocol.read_info(reply))
             except ProtocolError:
                 self.counters["answers_unusable"] += 1
                 if attempt == ATTEMPTS - 1:
@@ -307,7 +295,7 @@ class UtmDialogue:
             "rebooted; if this comes again cut its power, then have it repaired"
         )
 
-    def _ask(self, command: str, timeout_s: float = ANSWER_TIMEOUT_S) -> Dialogue[Reply | None]:
+    def _ask(self, command: str, timeout_s: float = ANSWER_TIMEOUT_S) -> Dialogue[protocol.Reply | None]:
         answer = yield Ask(command, timeout_s)
         if answer is None:
             self.counters["requests_unanswered"] += 1
@@ -316,4 +304,4 @@ class UtmDialogue:
 
 
 def status_text(status: str) -> str:
-    return f"{GENERAL_STATUS.get(status, 'not in the specification')} (status {status})"
+    return f"{protocol.GENERAL_STATUS.get(status, 'not in the specification')} (status {status})"

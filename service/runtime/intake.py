@@ -13,19 +13,11 @@ from typing import Any
 from drivers.frames import Frame
 from service.encoding import LogClock, Message, encode_event, encode_frame
 from service.mapper.mapping_session import SessionAction
+from service.runtime import mapper_messages as msg
 from service.runtime.host_time import HostTime
 from service.runtime.mapper_link import MapperLink
-from service.runtime.mapper_messages import (
-    Answer,
-    FrameItem,
-    GraphItem,
-    LoadItem,
-    SessionItem,
-    SwitchItem,
-    TilesItem,
-)
 
-Answered = Callable[[Answer], None]
+Answered = Callable[[msg.Answer], None]
 
 
 class Intake:
@@ -53,7 +45,7 @@ class Intake:
             self._put(message)
             number = self._link.next_number()
             self._link.submit(
-                FrameItem(number, log_ns, frame.arrived_ns, frame.sensor, message.type, message.payload)
+                msg.FrameItem(number, log_ns, frame.arrived_ns, frame.sensor, message.type, message.payload)
             )
 
     def mark(self, event: Mapping[str, Any], then: Callable[[Message], None]) -> str:
@@ -71,23 +63,23 @@ class Intake:
         """Within `then` of a mark: pause, resume or reset the mapper at its place."""
         if action != "reset_map":
             self.paused = action == "pause"
-        self._link.submit(SessionItem(self._link.next_number(), log_ns, action), answered)
+        self._link.submit(msg.SessionItem(self._link.next_number(), log_ns, action), answered)
 
     def request_map(self, folder: str, version: int, log_ns: int, answered: Answered) -> None:
         """Within `then` of a mark: have the mapper begin again in a stored map at its place."""
-        self._link.submit(LoadItem(self._link.next_number(), log_ns, folder, version), answered)
+        self._link.submit(msg.LoadItem(self._link.next_number(), log_ns, folder, version), answered)
 
     def request_profile(self, mapping: Mapping[str, Any], log_ns: int, answered: Answered) -> None:
         """Within `then` of a mark: have the mapper begin again at its place, as in this section."""
-        self._link.submit(SwitchItem(self._link.next_number(), log_ns, mapping), answered)
+        self._link.submit(msg.SwitchItem(self._link.next_number(), log_ns, mapping), answered)
 
     def request_graph(self, name: str, payload: Mapping[str, Any], log_ns: int, answered: Answered) -> None:
         """Within `then` of a mark: request something of the graph."""
-        self._link.submit(GraphItem(self._link.next_number(), log_ns, name, payload), answered)
+        self._link.submit(msg.GraphItem(self._link.next_number(), log_ns, name, payload), answered)
 
     def request_tiles(self, log_ns: int, answered: Answered) -> None:
         """Within `then` of a mark: have all tiles up to it handed over."""
-        self._link.submit(TilesItem(self._link.next_number(), log_ns), answered)
+        self._link.submit(msg.TilesItem(self._link.next_number(), log_ns), answered)
 
     def hand_over_tiles(self, then: Callable[[], None]) -> str:
         """Have all tiles up to now handed over, which is not recorded; why that is not done, "" if it is.

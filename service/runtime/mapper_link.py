@@ -20,36 +20,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Protocol
 
+from service.runtime import mapper_messages as msg
 from service.runtime.backlog import Backlog
 from service.runtime.channel import Channel, ChannelClosedError, Listening, wait_for
 from service.runtime.early_mapper import END_S, MODULE, EarlyMapper, MapperSocket, mapper_environment
-from service.runtime.mapper_messages import (
-    Answer,
-    BackEndDied,
-    CanCopy,
-    Decisions,
-    Failed,
-    Fatal,
-    Finish,
-    Finished,
-    FrameItem,
-    FromMapper,
-    Go,
-    Heard,
-    Hello,
-    Item,
-    LongWork,
-    MakeStandby,
-    Mapped,
-    PassedOver,
-    Progress,
-    Ready,
-    ResultApplied,
-    Setup,
-    Status,
-    Unusable,
-    is_sample,
-)
 from service.runtime.standstill import STILL_S, MapperSilence
 
 log = logging.getLogger(__name__)
@@ -65,15 +39,15 @@ STANDBY_S = 5.0  # that a stand-by which has just been made may take to come her
 class MapperListener(Protocol):
     """Receiver of the mapper's messages; all calls come from one thread."""
 
-    def heard(self, message: Heard) -> None: ...
+    def heard(self, message: msg.Heard) -> None: ...
 
     def taken_over(self, words: str) -> None:
         """A stand-by has replaced the mapper; tiles that come now count again."""
 
-    def refused(self, item: FrameItem) -> None:
+    def refused(self, item: msg.FrameItem) -> None:
         """This frame is left out from now on: the mapper died at it."""
 
-    def left_out(self, item: FrameItem) -> None:
+    def left_out(self, item: msg.FrameItem) -> None:
         """This frame is not mapped: too many items wait. From the thread of a reader."""
 
 
@@ -84,7 +58,7 @@ class MapperLostError(Exception):
 class MapperLink:
     """`start` the process, `submit` items, have a thread `run`; at last `finish`, `close`, `clean_up`."""
 
-    def __init__(self, setup: Setup, listener: MapperListener, early: EarlyMapper | None = None) -> None:
+    def __init__(self, setup: msg.Setup, listener: MapperListener, early: EarlyMapper | None = None) -> None:
         """early: a process that has been begun, and given the section of the config that `setup` holds."""
         self._setup = setup
         self._listener = listener
@@ -93,18 +67,18 @@ class MapperLink:
         self._lock = threading.Lock()  # of what follows, down to the blank line
         self._active: Channel | None = None
         self._given_up: list[Channel] = []  # replaced ones, until they are closed
-        self._kept: deque[Item] = deque()  # those after the stand-by's last
+        self._kept: deque[msg.Item] = deque()  # those after the stand-by's last
         self._keeps_items = True  # as long as there may be a stand-by that needs them
-        self._delayed: list[FrameItem] = []  # samples that go with the next scan
+        self._delayed: list[msg.FrameItem] = []  # samples that go with the next scan
         self._number = 0  # of the last item submitted
         self._backlog = Backlog()
-        self._answers: dict[int, Callable[[Answer], None]] = {}
+        self._answers: dict[int, Callable[[msg.Answer], None]] = {}
 
         self._process: subprocess.Popen[bytes] | None = None
         self._pid = 0  # of the active mapper; 0 once it is killed: another process may get its number
         self._last_pid = 0  # of the active mapper, or of the one before: copies of it are welcome
         self._unidentified: list[Channel] = []  # connected, and have not named themselves
-        self._standby: tuple[Channel, Hello] | None = None
+        self._standby: tuple[Channel, msg.Hello] | None = None
         self._done_number = 0
         self._forgotten_number = 0  # items up to here are not kept any more
         self._applied: dict[int, int] = {}
@@ -165,13 +139,13 @@ class MapperLink:
         """Number of the next item."""
         return self._number + 1
 
-    def submit(self, item: Item, answered: Callable[[Answer], None] | None = None) -> None:
+    def submit(self, item: msg.Item, answered: Callable[[msg.Answer], None] | None = None) -> None:
         """Hand over the next item, never waiting; `answered` hears, in the thread of `run`, its outcome.
 
         A frame for which too many items wait is left out, and the next item takes its number.
         """
         with self._lock:
-            if isinstance(item, FrameItem) and not self._backlog.takes(item, self.waiting):
+            if isinstance(item, msg.FrameItem) and not self._backlog.takes(item, self.waiting):
                 self._listener.left_out(item)
                 return
             self._number = item.number
@@ -181,7 +155,7 @@ class MapperLink:
                 self._answers[item.number] = answered
             if self._active is None or not self._ready.is_set():
                 return
-            if is_sample(item):
+            if msg.is_sample(item):
                 self._delayed.append(item)
                 if item.arrived_ns - self._delayed[0].arrived_ns > HOLD_NS or len(self._delayed) > MAX_HELD:
                     self._send_delayed()
@@ -209,7 +183,7 @@ class MapperLink:
         with self._lock:
             self._is_finishing = True
             if self._active is not None:
-                self._send_delayed(Finish())
+                self._send_delayed(msg.Finish())
         deadline_s = time.monotonic() + timeout_s
         while not self._finished.wait(LISTEN_S) and not self._over.is_set():
             if time.monotonic() > deadline_s:
@@ -305,47 +279,47 @@ class MapperLink:
 
     def _hear(self, active: Channel) -> None:
         try:
-            messages: list[FromMapper | Fatal] = active.receive()
+            messages: list[msg.FromMapper | msg.Fatal] = active.receive()
         except ChannelClosedError:
             self._lost("ended")
             return
         self._silence.heard()
         for message in messages:
-            if isinstance(message, Failed):
+            if isinstance(message, msg.Failed):
                 self._fatal(message)
                 return
-            if isinstance(message, BackEndDied):
+            if isinstance(message, msg.BackEndDied):
                 self._back_ends_died_s.append(time.monotonic())
                 self._lost(f"is without its graph: {message.words}")
                 return
             self._take(message)
 
-    def _take(self, message: FromMapper) -> None:
-        if isinstance(message, Ready):
+    def _take(self, message: msg.FromMapper) -> None:
+        if isinstance(message, msg.Ready):
             self._begin(message)
             return
-        if isinstance(message, Finished):
+        if isinstance(message, msg.Finished):
             self._finished.set()
             return
-        if isinstance(message, CanCopy):
+        if isinstance(message, msg.CanCopy):
             self._keep_items(message.can_copy)
             return
-        if isinstance(message, LongWork):
+        if isinstance(message, msg.LongWork):
             self._silence.announce(message.has_begun)
             return
-        if isinstance(message, Progress):
+        if isinstance(message, msg.Progress):
             self.kernels, self.kernels_share = message.words, message.share
             return
-        if isinstance(message, Status):
+        if isinstance(message, msg.Status):
             self._taken_number = message.number
-        elif isinstance(message, ResultApplied):
+        elif isinstance(message, msg.ResultApplied):
             self._applied[message.number] = self._applied.get(message.number, 0) + 1
-        elif isinstance(message, Mapped | PassedOver | Unusable | Answer):
+        elif isinstance(message, msg.Mapped | msg.PassedOver | msg.Unusable | msg.Answer):
             # The answer to an edit comes after those to later items.
             self._done_number = self._taken_number = max(self._done_number, message.number)
-            if isinstance(message, PassedOver):
+            if isinstance(message, msg.PassedOver):
                 self._passed_over.add(message.number)
-        if isinstance(message, Answer):
+        if isinstance(message, msg.Answer):
             with self._lock:
                 answered = self._answers.pop(message.number, None)
             if answered is not None:
@@ -353,7 +327,7 @@ class MapperLink:
         else:
             self._listener.heard(message)
 
-    def _begin(self, ready: Ready) -> None:
+    def _begin(self, ready: msg.Ready) -> None:
         """The process is ready: what has been submitted meanwhile goes out."""
         with self._lock:
             assert self._active is not None
@@ -364,7 +338,7 @@ class MapperLink:
                 self._kept.clear()
             self._ready.set()
             if self._is_finishing:
-                self._active.send(Finish())
+                self._active.send(msg.Finish())
 
     def _keep_items(self, for_standby: bool) -> None:
         """From now on, or not any more. A stand-by that would need an item from before is refused."""
@@ -399,14 +373,14 @@ class MapperLink:
             channel.close()
             with self._lock:
                 if self._active is not None:
-                    self._active.send(MakeStandby())
+                    self._active.send(msg.MakeStandby())
 
-    def _fatal(self, failed: Failed) -> None:
+    def _fatal(self, failed: msg.Failed) -> None:
         """The mapper raised: its stand-by goes on without that frame."""
         with self._lock:
             kept = list(self._kept)  # readers add to it meanwhile
         item = next((item for item in kept if item.number == failed.number), None)
-        if isinstance(item, FrameItem):
+        if isinstance(item, msg.FrameItem):
             self._refused.add(failed.number)
             self._listener.refused(item)
         self._lost(f"failed at {failed.words}")
@@ -447,15 +421,15 @@ class MapperLink:
             hello.number,
             self._number,
         )
-        decisions = Decisions(self._applied, frozenset(self._passed_over), frozenset(self._refused))
+        decisions = msg.Decisions(self._applied, frozenset(self._passed_over), frozenset(self._refused))
         self._listener.taken_over(how)
         with self._lock:
             self._active, self._pid, self._last_pid = channel, hello.pid, hello.pid
             self._silence.begin()
             for message in (
-                Go(self._done_number, decisions, self._back_end_dies_again_and_again()),
+                msg.Go(self._done_number, decisions, self._back_end_dies_again_and_again()),
                 *self._kept,
-                *([Finish()] if self._is_finishing else []),
+                *([msg.Finish()] if self._is_finishing else []),
             ):
                 if self._active is not None:  # else the next turn finds it lost, too
                     self._send(message)

@@ -37,28 +37,10 @@ from service.mapper.profiles import MappingConfig, build_mapper, mapping_config
 from service.mapstore.begin_in import begin_in
 from service.mapstore.graph_files import GraphFolder
 from service.mapstore.patch_files import PatchFiles
+from service.runtime import mapper_messages as msg
 from service.runtime.back_end import BackEndProcess
 from service.runtime.channel import Channel, ChannelClosedError, wait_for
 from service.runtime.early_mapper import REPORTED, SOCKET
-from service.runtime.mapper_messages import (
-    BackEndDied,
-    CanCopy,
-    Failed,
-    Fatal,
-    Finish,
-    Finished,
-    FrameItem,
-    FromMapper,
-    Go,
-    Hello,
-    Item,
-    LongWork,
-    MakeStandby,
-    Progress,
-    Ready,
-    Setup,
-    is_sample,
-)
 from service.runtime.mapping import MapperError, MappingLoop
 from service.runtime.standby_schedule import StandbySchedule
 
@@ -73,7 +55,7 @@ class MapperProcess:
     """One mapper, and what it needs to fork stand-bys."""
 
     def __init__(
-        self, folder: Path, setup: Setup, channel: Channel, seldom: SeldomKernels | None = None
+        self, folder: Path, setup: msg.Setup, channel: Channel, seldom: SeldomKernels | None = None
     ) -> None:
         """seldom: kernels that another process compiles still."""
         self._folder = folder
@@ -123,7 +105,7 @@ class MapperProcess:
             graph_behind_s=lambda: self._back_end.behind_s,
         )
         self._reported_can_copy = self._can_copy
-        self._items: deque[Item] = deque()
+        self._items: deque[msg.Item] = deque()
         self._is_finishing = False
         self._copied_number = -1
         self._copies = 0
@@ -133,25 +115,25 @@ class MapperProcess:
         """Until ingest reports the end, or has ended. Raises ChannelClosedError."""
         try:
             if not self._copy():
-                self._send(Ready(self._can_copy))
+                self._send(msg.Ready(self._can_copy))
                 self._announce_kernels()
             while self._items or not self._is_finishing:
                 self._hear(0.0 if self._items or self._loop.has_tiles else IDLE_S)
                 self._take_up_to_scan()
                 if self._can_copy != self._reported_can_copy:
                     self._reported_can_copy = self._can_copy
-                    self._send(CanCopy(self._can_copy))
+                    self._send(msg.CanCopy(self._can_copy))
                 self._loop.keep_up(is_idle=not self._items)
                 self._load_seldom()
                 if self._is_copy_due():
                     self._copy()
             self._loop.finish()
-            self._say_last(Finished())
+            self._say_last(msg.Finished())
         except MapperError as error:
             log.error("the mapper failed: %s", error)
-            self._say_last(Failed(error.number, str(error)))
+            self._say_last(msg.Failed(error.number, str(error)))
         except BackEndDiedError as error:
-            self._say_last(BackEndDied(str(error)))
+            self._say_last(msg.BackEndDied(str(error)))
         finally:
             self._back_end.stop()
 
@@ -161,9 +143,9 @@ class MapperProcess:
                 return
             item = self._items.popleft()
             self._loop.take(item)
-            if is_sample(item):
+            if msg.is_sample(item):
                 continue
-            if isinstance(item, FrameItem):
+            if isinstance(item, msg.FrameItem):
                 self._schedule.arrived(item.sensor, item.arrived_ns)
             return
 
@@ -177,9 +159,9 @@ class MapperProcess:
             self._take_message(message)
 
     def _take_message(self, message: Any) -> None:
-        if isinstance(message, Finish):
+        if isinstance(message, msg.Finish):
             self._is_finishing = True
-        elif isinstance(message, MakeStandby):
+        elif isinstance(message, msg.MakeStandby):
             self._copied_number = -1
             self._schedule.make_next_at_once()
         else:
@@ -187,7 +169,7 @@ class MapperProcess:
 
     def _announce_kernels(self) -> None:
         if self._seldom is not None:
-            self._send(LongWork(True))  # a scan may have to compile one
+            self._send(msg.LongWork(True))  # a scan may have to compile one
 
     def _load_seldom(self) -> None:
         if self._seldom is None or self._items:
@@ -195,12 +177,12 @@ class MapperProcess:
         self._seldom.load_next()
         if self._seldom.is_done:
             self._seldom = None
-            self._send(LongWork(False))
+            self._send(msg.LongWork(False))
 
-    def _send(self, message: FromMapper) -> None:
+    def _send(self, message: msg.FromMapper) -> None:
         self._channel.send(message)
 
-    def _say_last(self, word: FromMapper | Fatal) -> None:
+    def _say_last(self, word: msg.FromMapper | msg.Fatal) -> None:
         self._channel.send(word)
         while not self._channel.flush():
             self._channel.wait(IDLE_S)
@@ -241,7 +223,7 @@ class MapperProcess:
         self._is_finishing = False
         try:
             self._channel = connect(self._folder)
-            self._channel.send(Hello(os.getpid(), self._loop.number, is_standby=True, of_pid=mapper_pid))
+            self._channel.send(msg.Hello(os.getpid(), self._loop.number, is_standby=True, of_pid=mapper_pid))
             messages: list[Any] = []
             while not messages:
                 self._back_end.look()  # a stand-by without its back end makes place for another one
@@ -250,7 +232,7 @@ class MapperProcess:
         except (ChannelClosedError, BackEndDiedError):
             os._exit(0)  # a newer stand-by exists, or none is needed any more
         first, *items = messages
-        assert isinstance(first, Go)
+        assert isinstance(first, msg.Go)
         self._stays = first.stays
         self._back_end.need()
         self._announce_kernels()
@@ -278,7 +260,7 @@ def _progress(channel: Channel) -> KernelProgress:
 
     def tell(progress: KernelProgress) -> None:
         if threading.get_ident() == own:
-            channel.send(Progress(str(progress), progress.share))
+            channel.send(msg.Progress(str(progress), progress.share))
 
     return KernelProgress(tell)
 
@@ -307,7 +289,7 @@ def main() -> int:
     try:
         facts = _reported()
         channel = connect(folder)
-        channel.send(Hello(os.getpid(), 0, is_standby=False))
+        channel.send(msg.Hello(os.getpid(), 0, is_standby=False))
         left: list[Job] = []
         if facts is not None:  # while ingest imports, and checks the config
             set_up_logging(logging.INFO)

@@ -19,33 +19,7 @@ from service.mapper.mapping_session import MappingSession
 from service.mapper.saved_graph import KeptGraph
 from service.mapper.timed import note_mapped
 from service.outputs import NO_GRAPH, GraphPicture, MapperOutput
-from service.runtime.mapper_messages import (
-    MAX_AGE_NS,
-    Answer,
-    ChangesRendered,
-    Decisions,
-    FrameItem,
-    Go,
-    GraphItem,
-    GraphKept,
-    GraphRendered,
-    Heard,
-    Item,
-    LoadItem,
-    LongWork,
-    Mapped,
-    PassedOver,
-    PoseRefused,
-    ResultApplied,
-    SessionItem,
-    StandingRendered,
-    Status,
-    SwitchItem,
-    Tiles,
-    TilesItem,
-    Unusable,
-    is_sample,
-)
+from service.runtime import mapper_messages as msg
 from service.timing import Timed, Timing
 from service.timing.words import kind_of
 
@@ -95,7 +69,7 @@ class MappingLoop:
     def __init__(
         self,
         mapper: MappingSession,
-        send: Callable[[Heard | Answer | LongWork], None],
+        send: Callable[[msg.Heard | msg.Answer | msg.LongWork], None],
         upside_down: Collection[str] = (),
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
         prepare_map: PrepareMap = no_stored_maps,
@@ -105,7 +79,7 @@ class MappingLoop:
         self.mapper = mapper
         self._timing = Timing(mapper.lasers, mapper.counters)
         self._warned: set[str] = set()  # kinds of warnings that are in the log
-        self._newest: FrameItem | None = None
+        self._newest: msg.FrameItem | None = None
         self._prepare_map = prepare_map
         self._prepare_profile = prepare_profile
         self._graph_behind_s = graph_behind_s
@@ -120,7 +94,7 @@ class MappingLoop:
         self._reported_refused: tuple[float, float, float] | None = None
         self._map_stamp_ns = 0  # Unix time of the newest scan in the map
         self._done_number = 0  # up to here nothing is decided again, and nothing is reported twice
-        self._decided = Decisions({}, frozenset(), frozenset())
+        self._decided = msg.Decisions({}, frozenset(), frozenset())
         self._edits: deque[int] = deque()  # numbers of the items whose answers come with a result
         self.number = 0  # the last item taken
         self.has_tiles = False  # more may wait to be handed over: the next call of keep_up gives some
@@ -130,14 +104,14 @@ class MappingLoop:
         """False while items come again after another mapper was lost."""
         return self.number >= self._done_number
 
-    def go_on(self, go: Go) -> None:
+    def go_on(self, go: msg.Go) -> None:
         """Items after `number` come again. What the mapper before had decided about them holds."""
         self._done_number, self._decided = go.done_number, go.decisions
 
-    def take(self, item: Item) -> None:
+    def take(self, item: msg.Item) -> None:
         """Raises MapperError."""
         self._apply_results_before(item)
-        if isinstance(item, FrameItem):
+        if isinstance(item, msg.FrameItem):
             self._take_frame(item)
         else:
             with self._long_work():
@@ -146,21 +120,23 @@ class MappingLoop:
 
     @contextmanager
     def _long_work(self) -> Iterator[None]:
-        self._send(LongWork(True))
+        self._send(msg.LongWork(True))
         yield
-        self._send(LongWork(False))
+        self._send(msg.LongWork(False))
 
-    def _carry_out(self, item: SessionItem | LoadItem | SwitchItem | GraphItem | TilesItem) -> None:
-        if isinstance(item, SessionItem):
+    def _carry_out(
+        self, item: msg.SessionItem | msg.LoadItem | msg.SwitchItem | msg.GraphItem | msg.TilesItem
+    ) -> None:
+        if isinstance(item, msg.SessionItem):
             if item.action == "reset_map":
                 self.hand_over_tiles()  # they are of the map before
                 self._give_up_edits("the map has ended before the change was made")
-            self._tell(item.number, Answer(item.number, self.mapper.carry_out(item.action)))
-        elif isinstance(item, LoadItem):
+            self._tell(item.number, msg.Answer(item.number, self.mapper.carry_out(item.action)))
+        elif isinstance(item, msg.LoadItem):
             self._start_over(item, partial(self._prepare_map, item.folder, item.version))
-        elif isinstance(item, SwitchItem):
+        elif isinstance(item, msg.SwitchItem):
             self._start_over(item, partial(self._prepare_profile, item.mapping))
-        elif isinstance(item, GraphItem):
+        elif isinstance(item, msg.GraphItem):
             answer = self._request(item)
             if answer is None:
                 self._edits.append(item.number)
@@ -168,7 +144,7 @@ class MappingLoop:
                 self._tell(item.number, answer)
         else:
             self.hand_over_tiles()
-            self._tell(item.number, Answer(item.number, None))
+            self._tell(item.number, msg.Answer(item.number, None))
 
     def keep_up(self, is_idle: bool) -> None:
         """Hand over tiles and tell the status where they are due; between two items."""
@@ -193,20 +169,20 @@ class MappingLoop:
         if not self.is_up_to_date:
             return
         if changed := self.mapper.changed_tiles(most):
-            self._send(Tiles(changed, self._map_stamp_ns))
+            self._send(msg.Tiles(changed, self._map_stamp_ns))
             self.has_tiles = len(changed) == most
 
     def _tell_graph(self) -> None:
         kept = self.mapper.saved
         if kept is not self._reported_graph and isinstance(kept, KeptGraph):
             self._reported_graph = kept
-            self._send(GraphKept(*kept))
+            self._send(msg.GraphKept(*kept))
 
     def _show_graph(self) -> None:
         picture = self.mapper.graph_picture
         if picture is not self._shown_graph and self.is_up_to_date:
             self._shown_graph = picture
-            self._send(GraphRendered(picture if picture is not None else NO_GRAPH))
+            self._send(msg.GraphRendered(picture if picture is not None else NO_GRAPH))
 
     def _show_changes(self) -> None:
         """Send the changes where the reported cells differ from before."""
@@ -216,14 +192,14 @@ class MappingLoop:
         self._shown_changes = facts
         if facts is None or not facts.has_same_cells(shown):
             grid = NOTHING_CHANGED if facts is None else facts.as_grid()
-            self._send(ChangesRendered(grid, self._map_stamp_ns))
+            self._send(msg.ChangesRendered(grid, self._map_stamp_ns))
 
     def _show_standing(self) -> None:
         if not self.is_up_to_date or self._map_stamp_ns == self._standing_stamp_ns:
             return
         self._standing_stamp_ns = self._map_stamp_ns
         if (grid := self.mapper.standing()) is not None:
-            self._send(StandingRendered(grid, self._map_stamp_ns))
+            self._send(msg.StandingRendered(grid, self._map_stamp_ns))
 
     def tell_status(self) -> None:
         warnings = tuple(self._timing.warnings)
@@ -232,7 +208,7 @@ class MappingLoop:
                 self._warned.add(kind_of(warning))
                 log.warning("%s", warning)
         self._send(
-            Status(
+            msg.Status(
                 number=self.number,
                 counters=dict(self.mapper.counters),
                 graph_fault=self.mapper.graph_fault,
@@ -259,20 +235,20 @@ class MappingLoop:
         self.hand_over_tiles()
         self.tell_status()
 
-    def _apply_results_before(self, item: Item) -> None:
+    def _apply_results_before(self, item: msg.Item) -> None:
         for _ in range(self._decided.applied.get(item.number, 0)):
             self._apply_result()
-        if is_sample(item):
+        if msg.is_sample(item):
             return  # a scan comes soon
         if item.number > self._done_number and self.mapper.work_ready:
             self._apply_result()
-            self._send(ResultApplied(item.number, item.log_ns, self.mapper.graph_fault))
+            self._send(msg.ResultApplied(item.number, item.log_ns, self.mapper.graph_fault))
             self._tell_graph()
         refused = self.mapper.pose_refused
         if refused != self._reported_refused:
             self._reported_refused = refused
             if refused is not None:
-                self._tell(item.number, PoseRefused(item.log_ns, *refused))
+                self._tell(item.number, msg.PoseRefused(item.log_ns, *refused))
 
     def _apply_result(self) -> None:
         """The answer to an edit may be sent again after a mapper was lost: only the first is heard."""
@@ -281,28 +257,28 @@ class MappingLoop:
         if not self._edits:
             return
         for edited in self.mapper.take_edited():
-            self._send(Answer(self._edits.popleft(), edited.reply, edited.error))
+            self._send(msg.Answer(self._edits.popleft(), edited.reply, edited.error))
         if self.mapper.graph_fault:
             self._give_up_edits(f"the change is not made: {self.mapper.graph_fault}")
 
     def _give_up_edits(self, why: str) -> None:
         while self._edits:
-            self._send(Answer(self._edits.popleft(), None, why))
+            self._send(msg.Answer(self._edits.popleft(), None, why))
 
-    def _take_frame(self, item: FrameItem) -> None:
+    def _take_frame(self, item: msg.FrameItem) -> None:
         if item.number in self._decided.refused:
             return
         is_turned = item.sensor in self._upside_down
         frame = decode_frame(item.type, item.payload, item.sensor, item.log_ns, is_turned)
         if frame is None:
-            is_mapped = item.sensor in self.mapper.lasers and not is_sample(item)
-            self._tell(item.number, Unusable(item.number, item.sensor, is_mapped))
+            is_mapped = item.sensor in self.mapper.lasers and not msg.is_sample(item)
+            self._tell(item.number, msg.Unusable(item.number, item.sensor, is_mapped))
             return
         self._newest = item
         is_mapped = not (isinstance(frame, LaserScan) and self._is_passed_over(frame, item))
         self._map_timed(self._timing.take(frame, is_mapped), item)
 
-    def _map_timed(self, frames: Sequence[Timed], item: FrameItem) -> None:
+    def _map_timed(self, frames: Sequence[Timed], item: msg.FrameItem) -> None:
         """Map the frames that the newest item releases: mostly its own."""
         for frame, is_mapped in frames:
             if is_mapped:
@@ -310,7 +286,7 @@ class MappingLoop:
             elif isinstance(frame, LaserScan):
                 self.mapper.pass_over(frame)
 
-    def _map_frame(self, frame: Frame, item: FrameItem) -> None:
+    def _map_frame(self, frame: Frame, item: msg.FrameItem) -> None:
         before_ns = time.thread_time_ns()
         output = self._map(frame, item)
         note_mapped(self._timing, self.mapper, frame, output)
@@ -321,7 +297,7 @@ class MappingLoop:
         cpu_ns = time.thread_time_ns() - before_ns
         self._tell(
             item.number,
-            Mapped(
+            msg.Mapped(
                 number=item.number,
                 arrived_ns=item.arrived_ns,
                 stamp_ns=output.stamp_ns,
@@ -333,17 +309,17 @@ class MappingLoop:
             ),
         )
 
-    def _is_passed_over(self, scan: LaserScan, item: FrameItem) -> bool:
+    def _is_passed_over(self, scan: LaserScan, item: msg.FrameItem) -> bool:
         """Whether a scan has waited too long; then the mapper only goes on by wheels and gyro."""
         if item.number <= self._done_number:
             return item.number in self._decided.passed_over
         age_ns = self._monotonic_ns() - item.arrived_ns
-        if age_ns <= max(MAX_AGE_NS, 2 * scan.scan_period_ns) or not self.mapper.maps(scan):
+        if age_ns <= max(msg.MAX_AGE_NS, 2 * scan.scan_period_ns) or not self.mapper.maps(scan):
             return False
-        self._send(PassedOver(item.number, item.log_ns, item.sensor, age_ns))
+        self._send(msg.PassedOver(item.number, item.log_ns, item.sensor, age_ns))
         return True
 
-    def _map(self, frame: Frame, item: FrameItem) -> MapperOutput | None:
+    def _map(self, frame: Frame, item: msg.FrameItem) -> MapperOutput | None:
         kind = "scan" if isinstance(frame, LaserScan) else "sample"
         try:
             output = self.mapper.process(frame)
@@ -359,25 +335,25 @@ class MappingLoop:
                 raise MapperError(item.number, words)
         return output
 
-    def _start_over(self, item: LoadItem | SwitchItem, prepare: Callable[[], None]) -> None:
+    def _start_over(self, item: msg.LoadItem | msg.SwitchItem, prepare: Callable[[], None]) -> None:
         """The map before stays where what the next one needs cannot be had."""
         self.hand_over_tiles()  # they are of the map before
         try:
             prepare()
         except CorridorError as error:
-            self._tell(item.number, Answer(item.number, None, str(error)))
+            self._tell(item.number, msg.Answer(item.number, None, str(error)))
             return
         self._give_up_edits("the map has ended before the change was made")
-        self._tell(item.number, Answer(item.number, self.mapper.carry_out("reset_map")))
+        self._tell(item.number, msg.Answer(item.number, self.mapper.carry_out("reset_map")))
 
-    def _request(self, item: GraphItem) -> Answer | None:
+    def _request(self, item: msg.GraphItem) -> msg.Answer | None:
         """None: the answer comes with a result."""
         try:
             result = self.mapper.request(item.name, item.payload)
-            return None if result is None else Answer(item.number, result)
+            return None if result is None else msg.Answer(item.number, result)
         except GraphRequestError as error:
-            return Answer(item.number, None, str(error))
+            return msg.Answer(item.number, None, str(error))
 
-    def _tell(self, number: int, message: Heard | Answer) -> None:
+    def _tell(self, number: int, message: msg.Heard | msg.Answer) -> None:
         if number > self._done_number:
             self._send(message)

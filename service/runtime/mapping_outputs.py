@@ -14,23 +14,7 @@ from service.encoding import APPLY_RESULT, CHANGES, STANDING, Message, encode_ev
 from service.geometry.geo_reference import GeoReference
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
-from service.runtime.mapper_messages import (
-    MAX_AGE_NS,
-    ChangesRendered,
-    FrameItem,
-    GraphKept,
-    GraphRendered,
-    Heard,
-    Mapped,
-    PassedOver,
-    PoseRefused,
-    ResultApplied,
-    StandingRendered,
-    Status,
-    Tiles,
-    Unusable,
-    is_sample,
-)
+from service.runtime import mapper_messages as msg
 from service.runtime.metrics import LatencyHistogram
 
 log = logging.getLogger(__name__)
@@ -80,7 +64,7 @@ class MappingOutputs:
         self.graph_behind_s = 0.0  # as of Status
         self.time_warnings: tuple[str, ...] = ()  # faults of stamps and time fields
         self.is_localizing = False  # the map stays as it is
-        self.last: Mapped | None = None
+        self.last: msg.Mapped | None = None
         self.last_ns = 0  # when that came, host monotonic
         self.geo_reference: GeoReference | None = None
         self.states: Counter[str] = Counter()  # scans by state: ok, degraded, lost
@@ -93,29 +77,29 @@ class MappingOutputs:
         self.cpu_s = 0.0  # of the mapper's processes
         self._cpu_before_s = 0.0
 
-    def heard(self, message: Heard) -> None:
+    def heard(self, message: msg.Heard) -> None:
         match message:
-            case Mapped():
+            case msg.Mapped():
                 self._mapped(message)
-            case Tiles():
+            case msg.Tiles():
                 self._take_tiles(message)
-            case Status():
+            case msg.Status():
                 self._take_status(message)
-            case ResultApplied():
+            case msg.ResultApplied():
                 self._graph_worked(message)
-            case PassedOver():
+            case msg.PassedOver():
                 self._scan_passed_over(message)
-            case PoseRefused():
+            case msg.PoseRefused():
                 self._pose_refused(message)
-            case GraphKept():
+            case msg.GraphKept():
                 self._graph_kept(message)
-            case GraphRendered():
+            case msg.GraphRendered():
                 self._put(encode_graph(message.picture, self._log_ns()), None)
-            case StandingRendered():
+            case msg.StandingRendered():
                 self._put(encode_grid(message.grid, message.stamp_ns, self._log_ns(), STANDING), None)
-            case ChangesRendered():
+            case msg.ChangesRendered():
                 self._put(encode_grid(message.grid, message.stamp_ns, self._log_ns(), CHANGES), None)
-            case Unusable():
+            case msg.Unusable():
                 self.unusable[message.sensor] += 1
                 self.unusable_scans += message.is_mapped_scan
             case _:
@@ -130,11 +114,11 @@ class MappingOutputs:
         event = {"event": "mapper_restarted", "reason": words}
         self._put(encode_event(json.dumps(event), log_ns, log_ns), None)
 
-    def refused(self, item: FrameItem) -> None:
+    def refused(self, item: msg.FrameItem) -> None:
         self._put_before(item.log_ns, {"event": "frame_refused", "sensor": item.sensor})
 
-    def left_out(self, item: FrameItem) -> None:
-        if item.sensor in self.lasers and not is_sample(item):
+    def left_out(self, item: msg.FrameItem) -> None:
+        if item.sensor in self.lasers and not msg.is_sample(item):
             self._count_left_out(item.sensor, 0)
         self._put_before(item.log_ns, {"event": "frame_left_out", "sensor": item.sensor})
 
@@ -159,7 +143,7 @@ class MappingOutputs:
         return (
             f"{overload.scans} scans in {(now_ns - overload.first_ns) / 1e9:.1f} s were not mapped, having "
             f"waited up to {overload.oldest_age_ns / 1e6:.0f} ms (expected at most "
-            f"{MAX_AGE_NS / 1e6:.0f} ms, or two periods of the laser); the pose follows the "
+            f"{msg.MAX_AGE_NS / 1e6:.0f} ms, or two periods of the laser); the pose follows the "
             "prediction meanwhile. Does another program take the processor?"
         )
 
@@ -167,7 +151,7 @@ class MappingOutputs:
     def _map_stamp_ns(self) -> int:
         return self.last.stamp_ns if self.last is not None else 0
 
-    def _mapped(self, mapped: Mapped) -> None:
+    def _mapped(self, mapped: msg.Mapped) -> None:
         self.last, self.last_ns = mapped, self._monotonic_ns()
         self.states[mapped.state] += 1
         self.scan_cpu.add(mapped.cpu_ns)
@@ -176,7 +160,7 @@ class MappingOutputs:
             stamped = replace(message, log_ns=log_ns)
             self._put(stamped, mapped.arrived_ns if k == 0 else None)
 
-    def _take_status(self, status: Status) -> None:
+    def _take_status(self, status: msg.Status) -> None:
         self.counters, self.graph_fault = status.counters, status.graph_fault
         self.graph_behind_s = status.graph_behind_s
         self.time_warnings, self.is_localizing = status.time_warnings, status.is_localizing
@@ -185,17 +169,17 @@ class MappingOutputs:
             self.geo_reference = status.geo_reference
             self._tiles.place(status.geo_reference)
 
-    def _take_tiles(self, message: Tiles) -> None:
+    def _take_tiles(self, message: msg.Tiles) -> None:
         tiles = [replace(tile, version=self._began_version + tile.version) for tile in message.tiles]
         self._tiles.update(tiles)
         self._put_tiles(tiles, message.stamp_ns)
 
-    def _graph_worked(self, message: ResultApplied) -> None:
+    def _graph_worked(self, message: msg.ResultApplied) -> None:
         fault = message.fault
         event = {"event": "graph_lost", "reason": fault} if fault else {"event": APPLY_RESULT}
         self._put_before(message.log_ns, event)
 
-    def _pose_refused(self, refused: PoseRefused) -> None:
+    def _pose_refused(self, refused: msg.PoseRefused) -> None:
         at = {"x_m": refused.x_m, "y_m": refused.y_m, "theta_rad": refused.theta_rad}
         log.warning(
             "set_pose: the pose (%.2f, %.2f) m, %.2f rad is rejected: no scan matches the map there; "
@@ -206,13 +190,13 @@ class MappingOutputs:
         )
         self._put_before(refused.log_ns, {"event": "set_pose_given_up", **at})
 
-    def _graph_kept(self, kept: GraphKept) -> None:
+    def _graph_kept(self, kept: msg.GraphKept) -> None:
         if kept.fault:
             log.error("%s", kept.fault)
         elif kept.folder:
             self._tiles.keep_graph(Path(kept.folder))
 
-    def _scan_passed_over(self, message: PassedOver) -> None:
+    def _scan_passed_over(self, message: msg.PassedOver) -> None:
         self._count_left_out(message.sensor, message.age_ns)
         self._put_before(message.log_ns, {"event": "scan_passed_over", "sensor": message.sensor})
 

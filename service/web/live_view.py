@@ -15,24 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.frames import LaserScan
-from service.encoding import (
-    APPLY_RESULT,
-    BASE_FRAME,
-    CHANGES,
-    GRAPH,
-    STANDING,
-    Message,
-    Pose,
-    Status,
-    decode_diagnostics,
-    decode_event,
-    decode_frame,
-    decode_graph,
-    decode_grid,
-    decode_pose,
-    decode_transforms,
-    decode_upside_down,
-)
+from service import encoding
 from service.errors import InputError
 from service.web.protocol import (
     FloatArray,
@@ -56,7 +39,7 @@ KEPT_ROWS = 600  # ten minutes
 MAX_EVENTS = 100
 FRAMES = ("scan", "imu", "odom", "fix")  # what a sensor gives
 # Counted in health, many a second.
-UNREPORTED = (APPLY_RESULT, "scan_passed_over", "frame_refused", "frame_left_out")
+UNREPORTED = (encoding.APPLY_RESULT, "scan_passed_over", "frame_refused", "frame_left_out")
 MAX_WAYS = 200  # that wait to be shown
 PATH_STEP_M = 0.05
 # A pose farther away than a vehicle can have come: it was found elsewhere, and the path begins again there.
@@ -78,7 +61,7 @@ class StatusSince:
     def __init__(self) -> None:
         self._known: dict[str, tuple[int, str, float]] = {}
 
-    def put(self, status: Status, stamp_s: float) -> float:
+    def put(self, status: encoding.Status, stamp_s: float) -> float:
         """Since when the status has its level and state, Unix time."""
         how = (status.level, status.values.get("state", ""))
         if self._known.get(status.name, ())[:2] != how:
@@ -132,8 +115,8 @@ class DrivenPath:
 class _Streams:
     """Messages that are not shown yet; guarded by the view's lock."""
 
-    newest: dict[str, Message] = field(default_factory=dict)
-    events: deque[Message] = field(default_factory=lambda: deque(maxlen=MAX_EVENTS))
+    newest: dict[str, encoding.Message] = field(default_factory=dict)
+    events: deque[encoding.Message] = field(default_factory=lambda: deque(maxlen=MAX_EVENTS))
     latencies_ns: deque[int] = field(default_factory=lambda: deque(maxlen=1000))
     path: FloatArray | None = None  # in place of the path so far
     way: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=MAX_WAYS))  # behind it
@@ -159,11 +142,11 @@ class LiveView:
         self._events: deque[str] = deque(maxlen=MAX_EVENTS)
         self._kept: dict[str, Payload] = {}  # by key, for a browser that comes late
         self._path = DrivenPath()
-        self._pose_before: Pose | None = None
+        self._pose_before: encoding.Pose | None = None
         self.map_folders: list[Path] = []  # to which the service writes its map now
         self.unreadable = 0  # messages that did not decode
 
-    def put(self, message: Message, origin_ns: int | None = None) -> None:
+    def put(self, message: encoding.Message, origin_ns: int | None = None) -> None:
         """Take a message in; from any thread, in about a microsecond.
 
         origin_ns: of a pose, the moment its scan's last byte was read (host monotonic).
@@ -188,7 +171,7 @@ class LiveView:
             except InputError:  # a fault of ours: the service made them
                 self.unreadable += 1
         for event in came.events:
-            words = decode_event(event.payload)
+            words = encoding.decode_event(event.payload)
             if kind_of(words) in UNREPORTED:
                 continue
             text = to_json("event", stamp_s=event.stamp_ns / 1e9, text=words)
@@ -227,8 +210,8 @@ class LiveView:
         self._pose_before = None
         return [
             Shown("path", self._path.payload()),
-            self._keep(STANDING, encode_standing(None)),
-            self._keep(CHANGES, encode_changes(None)),
+            self._keep(encoding.STANDING, encode_standing(None)),
+            self._keep(encoding.CHANGES, encode_changes(None)),
         ]
 
     def _take(self, now_ns: int) -> _Streams:
@@ -240,7 +223,7 @@ class LiveView:
             for channel in came.newest:
                 if channel.endswith("/scan"):
                     self._due_ns[channel] = now_ns + SCAN_PERIOD_NS
-                elif channel == GRAPH:
+                elif channel == encoding.GRAPH:
                     self._due_ns[channel] = now_ns + GRAPH_PERIOD_NS
         return came
 
@@ -258,7 +241,7 @@ class LiveView:
             shown.append(Shown("", encode_path(way, goes_on=True)))
         return shown
 
-    def _show(self, channel: str, message: Message) -> list[Shown]:
+    def _show(self, channel: str, message: encoding.Message) -> list[Shown]:
         sensor, _, kind = channel.rpartition("/")
         if sensor and kind in FRAMES:
             self._arrival_ms[sensor] = (message.log_ns - message.stamp_ns) / 1e6
@@ -268,11 +251,11 @@ class LiveView:
             case "", "diagnostics":
                 return self._health(message)
             case "", "graph":
-                return [self._keep("graph", encode_graph(decode_graph(message.payload)))]
+                return [self._keep("graph", encode_graph(encoding.decode_graph(message.payload)))]
             case "", "standing":
-                return [self._keep(STANDING, encode_standing(decode_grid(message.payload)))]
+                return [self._keep(encoding.STANDING, encode_standing(encoding.decode_grid(message.payload)))]
             case "map", "changes":
-                return [self._keep(CHANGES, encode_changes(decode_grid(message.payload)))]
+                return [self._keep(encoding.CHANGES, encode_changes(encoding.decode_grid(message.payload)))]
             case "", "tf_static":
                 return self._mountings(message)
             case _, "scan":
@@ -280,8 +263,8 @@ class LiveView:
             case _:
                 return []
 
-    def _pose(self, message: Message) -> list[Shown]:
-        pose, before = decode_pose(message.payload), self._pose_before
+    def _pose(self, message: encoding.Message) -> list[Shown]:
+        pose, before = encoding.decode_pose(message.payload), self._pose_before
         if before is not None and _jumps(before, pose):
             self._path.leave_off()
         self._pose_before = pose
@@ -289,14 +272,14 @@ class LiveView:
         self._path.add(pose.pose.x_m, pose.pose.y_m)
         return [self._keep("pose", pose_json(pose))]
 
-    def _scan(self, message: Message, sensor: str) -> list[Shown]:
-        scan = decode_frame(
+    def _scan(self, message: encoding.Message, sensor: str) -> list[Shown]:
+        scan = encoding.decode_frame(
             message.type, message.payload, sensor, message.log_ns, sensor in self._upside_down
         )
         return [self._keep(f"scan/{sensor}", encode_scan(scan))] if isinstance(scan, LaserScan) else []
 
-    def _health(self, message: Message) -> list[Shown]:
-        statuses, stamp_s = decode_diagnostics(message.payload), message.stamp_ns / 1e9
+    def _health(self, message: encoding.Message) -> list[Shown]:
+        statuses, stamp_s = encoding.decode_diagnostics(message.payload), message.stamp_ns / 1e9
         self._figures.put_health(statuses)
         self.map_folders = [
             Path(s.values["folder"]) for s in statuses if s.name == "map" and "folder" in s.values
@@ -304,9 +287,11 @@ class LiveView:
         since = {status.name: self._since.put(status, stamp_s) for status in statuses}
         return [self._keep("health", health_json(statuses, since, self._arrival_ms, stamp_s))]
 
-    def _mountings(self, message: Message) -> list[Shown]:
-        self._upside_down = decode_upside_down(message.payload)
-        edges = [edge for edge in decode_transforms(message.payload) if edge.frame == BASE_FRAME]
+    def _mountings(self, message: encoding.Message) -> list[Shown]:
+        self._upside_down = encoding.decode_upside_down(message.payload)
+        edges = [
+            edge for edge in encoding.decode_transforms(message.payload) if edge.frame == encoding.BASE_FRAME
+        ]
         return [self._keep("mountings", mountings_json({edge.child: edge.pose for edge in edges}))]
 
     def _show_row(self, came: _Streams) -> list[Shown]:
@@ -329,7 +314,7 @@ class LiveView:
         return Shown(key, payload)
 
 
-def _jumps(before: Pose, pose: Pose) -> bool:
+def _jumps(before: encoding.Pose, pose: encoding.Pose) -> bool:
     """Whether no vehicle can have driven from the one to the other."""
     seconds = abs(pose.stamp_ns - before.stamp_ns) / 1e9
     away_m = math.hypot(pose.pose.x_m - before.pose.x_m, pose.pose.y_m - before.pose.y_m)

@@ -14,17 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.frames import Frame, LaserScan
-from service.encoding import (
-    Message,
-    Status,
-    encode_diagnostics,
-    encode_event,
-    encode_frame,
-    encode_graph,
-    encode_grid,
-    encode_pose,
-    encode_tf_static,
-)
+from service import encoding
 from service.geometry.poses import Floats, points_from, points_seen
 from service.geometry.se2 import SE2
 from service.mapper.profiles import METHODS, build_mapper, mapping_config
@@ -157,21 +147,21 @@ def take_report(page: Page, frames: Sequence[Frame], folder: Path) -> None:
 
 def take_past(page: Page, office: Office, folder: Path) -> None:
     """The drive as a service would have recorded it, at one of its moments."""
-    messages = [encode_tf_static(MOUNTINGS, UNIX_NS, UNIX_NS)]
+    messages = [encoding.encode_tf_static(MOUNTINGS, UNIX_NS, UNIX_NS)]
     for scan in office.seen:
         moved = replace(scan, stamp_ns=scan.stamp_ns + UNIX_NS, arrived_ns=scan.arrived_ns + UNIX_NS)
-        messages.append(encode_frame(moved))
+        messages.append(encoding.encode_frame(moved))
     messages += [
-        encode_pose(replace(o, stamp_ns=o.stamp_ns + UNIX_NS), o.stamp_ns + UNIX_NS + 45_000_000)
+        encoding.encode_pose(replace(o, stamp_ns=o.stamp_ns + UNIX_NS), o.stamp_ns + UNIX_NS + 45_000_000)
         for o in office.outputs
     ]
-    messages += [encode_grid(grid, at_ns + UNIX_NS, at_ns + UNIX_NS) for at_ns, grid in office.maps]
+    messages += [encoding.encode_grid(grid, at_ns + UNIX_NS, at_ns + UNIX_NS) for at_ns, grid in office.maps]
     messages += [
         health(UNIX_NS + k * 10**9, "degraded" if 20 < k < 26 else "ok") for k in range(round(DRIVEN_S))
     ]
     for seconds, text in ((8.0, "door to the store room is open"), (41.0, "pallet in the corridor")):
         at_ns = UNIX_NS + round(seconds * 1e9)
-        messages.append(encode_event(json.dumps({"event": "mark", "text": text}), at_ns, at_ns))
+        messages.append(encoding.encode_event(json.dumps({"event": "mark", "text": text}), at_ns, at_ns))
     write_file(folder / "veh1_20261118T061320Z_0001.mcap", sorted(messages, key=lambda m: m.log_ns))
     view = RecordingView([folder / "veh1_20261118T061320Z_0001.mcap"], "127.0.0.1:0")
     try:
@@ -284,10 +274,10 @@ def save_picture(page: Page, name: str) -> None:
     page.driver.save_screenshot(str(IMAGES / f"operator-{name}.png"))
 
 
-def health(stamp_ns: int, state: str = "ok") -> Message:
+def health(stamp_ns: int, state: str = "ok") -> encoding.Message:
     sensor = {"state": "streaming", "dropped": "0"}
     rows = [
-        Status(
+        encoding.Status(
             f"sensor/{name}", 0, "ok", {**sensor, "rate_hz": rate, "age_s": age, "device_clock_s": clock_s}
         )
         for name, rate, age, clock_s in (
@@ -297,20 +287,20 @@ def health(stamp_ns: int, state: str = "ok") -> Message:
         )
     ]
     rest = [status for status in statuses(state) if not status.name.startswith("sensor/")]
-    return encode_diagnostics("diagnostics", [*rows, *rest], stamp_ns, stamp_ns)
+    return encoding.encode_diagnostics("diagnostics", [*rows, *rest], stamp_ns, stamp_ns)
 
 
 @contextmanager
 def driving(server: WebServer, outputs: list[MapperOutput], seen: list[LaserScan]) -> Iterator[None]:
     """The last two seconds, again and again, at their own pace."""
     end_ns = outputs[-1].stamp_ns
-    messages = [(o.stamp_ns, encode_pose(o, o.stamp_ns + UNIX_NS + 8_000_000)) for o in outputs]
-    messages += [(s.stamp_ns, encode_frame(s)) for s in seen]
+    messages = [(o.stamp_ns, encoding.encode_pose(o, o.stamp_ns + UNIX_NS + 8_000_000)) for o in outputs]
+    messages += [(s.stamp_ns, encoding.encode_frame(s)) for s in seen]
     last = sorted((m for m in messages if m[0] > end_ns - SHOWN_S * 1e9), key=lambda m: m[0])
 
     def drive(ended: threading.Event) -> None:
         random = np.random.default_rng(1)
-        server.put(encode_tf_static(MOUNTINGS, UNIX_NS, UNIX_NS))
+        server.put(encoding.encode_tf_static(MOUNTINGS, UNIX_NS, UNIX_NS))
         server.put(event('{"event": "start"}', 0.0))
         server.put(event('{"event": "mark", "text": "door to the store room is open"}', 41.0))
         while not ended.is_set():
@@ -373,7 +363,7 @@ def main() -> None:
         server.put_path(np.array([(pose.x_m, pose.y_m) for pose in poses], np.float32))
         server.start()
         assert server.wait_served(10.0)
-        server.put(encode_graph(office.graph, UNIX_NS))
+        server.put(encoding.encode_graph(office.graph, UNIX_NS))
         with driving(server, office.outputs, office.seen):
             page.open(server.address, "t")
             page.wait_for(

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ProtocolError
+from drivers.sick_lms100 import telegrams
 from drivers.sick_lms100.protocol import (
     MAX_GARBAGE_BYTES,
     MAX_TELEGRAM_BYTES,
@@ -21,17 +22,6 @@ from drivers.sick_lms100.protocol import (
     encode,
     refusal_text,
     writer,
-)
-from drivers.sick_lms100.telegrams import (
-    Calendar,
-    Channel,
-    DeviceStatus,
-    Event,
-    OutputRange,
-    ScanConfig,
-    ScanTelegram,
-    read_scan,
-    write_scan,
 )
 from tests.drivers.damage import buffered
 
@@ -57,7 +47,7 @@ REAL = [
 IDS = [telegram.kind + " " + telegram.name + " " + telegram.dialect.value for _, telegram in REAL]
 
 BEAMS = np.array([93, 80, 0, 1, 2, 3, 15, 16, 20_000, 65_535], dtype=np.uint16)
-SCAN = ScanTelegram(
+SCAN = telegrams.ScanTelegram(
     serial_number=18_090_362,
     status=(1, 0),
     telegram_counter=63_336,
@@ -67,17 +57,17 @@ SCAN = ScanTelegram(
     frequency_chz=5000,
     shots_100hz=360,
     channels_16bit=(
-        Channel("DIST1", BEAMS, -450_000, 5000),
-        Channel("DIST2", BEAMS[::-1].copy(), -450_000, 5000, 2.0),
+        telegrams.Channel("DIST1", BEAMS, -450_000, 5000),
+        telegrams.Channel("DIST2", BEAMS[::-1].copy(), -450_000, 5000, 2.0),
     ),
-    channels_8bit=(Channel("RSSI1", (BEAMS % 256).astype(np.uint16), -450_000, 5000),),
+    channels_8bit=(telegrams.Channel("RSSI1", (BEAMS % 256).astype(np.uint16), -450_000, 5000),),
     outputs=(7, 0),
     encoders=((4_000_000_000, 65_535),),
     position=(1.0, -2.0, 0.0, 0.5, 0.0, 3.25, 2.0),
     name="not defined",
     comment="",
-    time=Calendar(1970, 1, 1, 2, 55, 34, 889_000),
-    event=Event("FDIN", 1, 2, -450_000),
+    time=telegrams.Calendar(1970, 1, 1, 2, 55, 34, 889_000),
+    event=telegrams.Event("FDIN", 1, 2, -450_000),
 )
 
 
@@ -172,8 +162,8 @@ def test_refusals_are_put_into_words(telegram, words):
 @pytest.mark.parametrize(
     ("layout", "body"),
     [
-        (ScanConfig(5000, 5000), b"1388 1 1388 FFF92230 225510"),  # as a real LMS111 answers
-        (OutputRange(-450_000, 2_250_000), b"1 1388 FFF92230 225510"),
+        (telegrams.ScanConfig(5000, 5000), b"1388 1 1388 FFF92230 225510"),  # as a real LMS111 answers
+        (telegrams.OutputRange(-450_000, 2_250_000), b"1 1388 FFF92230 225510"),
     ],
 )
 def test_configuration_is_written_as_real_devices_write_it(layout, body):
@@ -183,47 +173,47 @@ def test_configuration_is_written_as_real_devices_write_it(layout, body):
 
 
 def test_field_of_view_rounded_by_the_vendors_tool_still_agrees():
-    assert OutputRange(-449_997, 2_250_013).agrees(OutputRange(-450_000, 2_250_000))
-    assert not OutputRange(-445_000, 2_250_000).agrees(OutputRange(-450_000, 2_250_000))
+    assert telegrams.OutputRange(-449_997, 2_250_013).agrees(telegrams.OutputRange(-450_000, 2_250_000))
+    assert not telegrams.OutputRange(-445_000, 2_250_000).agrees(telegrams.OutputRange(-450_000, 2_250_000))
 
 
 @pytest.mark.parametrize("body", [b"7 0 8 00:34:19 A 01.01.1970 0 0 0", b"7 0 8 00:00:00 8 01.0 1.06 0 0 0"])
 def test_device_status_is_read_by_lengths_not_by_blanks(body):
-    status = DeviceStatus.read(AsciiReader(body))
+    status = telegrams.DeviceStatus.read(AsciiReader(body))
     assert status.state == 7
     assert len(status.date) in (8, 10)
 
 
 @pytest.mark.parametrize("dialect", [ASCII, BINARY])
 def test_scan_with_every_field_survives(dialect):
-    telegram = write_scan(SCAN, dialect)
+    telegram = telegrams.write_scan(SCAN, dialect)
     decoded = Decoder().receive_data(encode(telegram))
     assert decoded == [telegram]
-    assert same(read_scan(decoded[0]), SCAN)
+    assert same(telegrams.read_scan(decoded[0]), SCAN)
 
 
 @pytest.mark.parametrize("dialect", [ASCII, BINARY])
 @pytest.mark.parametrize("missing", ["position", "name", "comment", "time", "event"])
 def test_scan_without_one_optional_field_survives(dialect, missing):
     scan = replace(SCAN, **{missing: None})
-    assert same(read_scan(write_scan(scan, dialect)), scan)
+    assert same(telegrams.read_scan(telegrams.write_scan(scan, dialect)), scan)
 
 
 @pytest.mark.parametrize("dialect", [ASCII, BINARY])
 def test_scan_cut_anywhere_is_refused(dialect):
-    body = write_scan(replace(SCAN, time=None, event=None), dialect).body
+    body = telegrams.write_scan(replace(SCAN, time=None, event=None), dialect).body
     for end in range(len(body) - 2):
         with pytest.raises(ProtocolError):
             # The last flag may be missing; everything before may not.
-            read_scan(Telegram(dialect, "sSN", "LMDscandata", body[:end]))
+            telegrams.read_scan(Telegram(dialect, "sSN", "LMDscandata", body[:end]))
 
 
 @pytest.mark.parametrize(("offset", "what"), [(36, "encoders"), (38, "channels"), (59, "beams")])
 def test_counts_beyond_reason_are_refused(offset, what):
-    body = bytearray(write_scan(replace(SCAN, encoders=()), BINARY).body)
+    body = bytearray(telegrams.write_scan(replace(SCAN, encoders=()), BINARY).body)
     struct.pack_into(">H", body, offset, 60_000)
     with pytest.raises(ProtocolError, match=f"60000 {what}"):
-        read_scan(Telegram(BINARY, "sSN", "LMDscandata", bytes(body)))
+        telegrams.read_scan(Telegram(BINARY, "sSN", "LMDscandata", bytes(body)))
 
 
 def test_every_recorded_telegram_is_decoded_and_encoded_back(shared):
@@ -234,10 +224,10 @@ def test_every_recorded_telegram_is_decoded_and_encoded_back(shared):
         [telegram] = decoder.receive_data(wire)
         assert encode(telegram) == wire
         if telegram.kind == "sSN" and telegram.name == "LMDscandata":
-            scan = read_scan(telegram)
-            assert encode(write_scan(scan, BINARY)) == wire
-            text = write_scan(scan, ASCII)
-            assert same(read_scan(Decoder().receive_data(encode(text))[0]), scan)
+            scan = telegrams.read_scan(telegram)
+            assert encode(telegrams.write_scan(scan, BINARY)) == wire
+            text = telegrams.write_scan(scan, ASCII)
+            assert same(telegrams.read_scan(Decoder().receive_data(encode(text))[0]), scan)
             scans += 1
     assert (len(wires), scans, decoder.skipped_bytes, decoder.bad_checksums) == (277, 175, 0, 0)
 
@@ -247,7 +237,7 @@ def test_first_recorded_scan_says_what_the_wire_says(shared):
     wire = next(
         bytes.fromhex(row["hex"]) for row in map(json.loads, lines) if b"sSN LMDs".hex() in row["hex"]
     )
-    scan = read_scan(Decoder().receive_data(wire)[0])
+    scan = telegrams.read_scan(Decoder().receive_data(wire)[0])
     assert (scan.serial_number, scan.status) == (18_090_362, (1, 0))
     assert (scan.telegram_counter, scan.scan_counter) == (63_336, 4)
     assert (scan.start_us, scan.sent_us) == (1_948_810_585, 1_948_813_715)
@@ -255,5 +245,5 @@ def test_first_recorded_scan_says_what_the_wire_says(shared):
     channel = scan.channel("DIST1")
     assert (len(channel.values), channel.first_e4deg, channel.step_e4deg) == (541, -450_000, 5000)
     assert channel.values[:3].tolist() == [93, 80, 86]
-    assert scan.time == Calendar(1970, 1, 1, 2, 55, 34, 889_000)
+    assert scan.time == telegrams.Calendar(1970, 1, 1, 2, 55, 34, 889_000)
     assert scan.channel("DIST2") is None

@@ -3,23 +3,13 @@
 from collections import Counter
 from collections.abc import Callable
 
+from drivers import link
 from drivers.errors import DeviceError, ProtocolError, TransportError
 from drivers.frames import Frame, GnssFix
-from drivers.link import (
-    DEVICE_ERROR_RETRY_S,
-    FIRST_RETRY_S,
-    LAST_RETRY_S,
-    PROVEN_AFTER_S,
-    READ_TIMEOUT_S,
-    ChunkKind,
-    ClockGate,
-    RawChunk,
-    Session,
-)
 from simulators.faults import Faulty
 from tests.drivers.virtual_time import SECOND_NS
 
-TICK_NS = round(READ_TIMEOUT_S * SECOND_NS)
+TICK_NS = round(link.READ_TIMEOUT_S * SECOND_NS)
 DELAY_NS = 100_000  # of the network, from the device
 
 
@@ -33,20 +23,20 @@ class VirtualLink:
     sent       with the time, what the device sent, as the session read it
     """
 
-    def __init__(self, new_session: Callable[[], Session], device: Faulty, now_ns: int) -> None:
+    def __init__(self, new_session: Callable[[], link.Session], device: Faulty, now_ns: int) -> None:
         self.device = device
         self.now_ns = now_ns
         self.frames: list[Frame] = []
         self.passed_on: list[Frame] = []
-        self.chunks: list[RawChunk] = []
+        self.chunks: list[link.RawChunk] = []
         self.errors: list[tuple[int, Exception]] = []
         self.sent: list[tuple[int, bytes]] = []
         self.connects = 0
         self._new_session = new_session
-        self._session: Session | None = None
-        self._gate = ClockGate()
+        self._session: link.Session | None = None
+        self._gate = link.ClockGate()
         self._counters: Counter[str] = Counter()  # of sessions that have ended
-        self._retry_s = FIRST_RETRY_S
+        self._retry_s = link.FIRST_RETRY_S
         self._connect_at_ns = self._connected_ns = now_ns
 
     @property
@@ -93,7 +83,7 @@ class VirtualLink:
             return
         self.connects += 1
         self._connected_ns = self.now_ns
-        self._session, self._gate = self._new_session(), ClockGate()
+        self._session, self._gate = self._new_session(), link.ClockGate()
         greeting = self.device.connected(self.now_ns)
         self._tick("connected", self.now_ns)
         self._deliver(greeting)
@@ -104,17 +94,17 @@ class VirtualLink:
             self._counters += self._session.counters
             self._session = None
             self.device.disconnected(self.now_ns)
-            if self.now_ns - self._connected_ns > PROVEN_AFTER_S * SECOND_NS:
-                self._retry_s = FIRST_RETRY_S
-        wait_s = DEVICE_ERROR_RETRY_S if isinstance(error, DeviceError) else self._retry_s
-        self._retry_s = min(2.0 * self._retry_s, LAST_RETRY_S)
+            if self.now_ns - self._connected_ns > link.PROVEN_AFTER_S * SECOND_NS:
+                self._retry_s = link.FIRST_RETRY_S
+        wait_s = link.DEVICE_ERROR_RETRY_S if isinstance(error, DeviceError) else self._retry_s
+        self._retry_s = min(2.0 * self._retry_s, link.LAST_RETRY_S)
         self._connect_at_ns = self.now_ns + round(wait_s * SECOND_NS)
 
-    def _tick(self, kind: ChunkKind, now_ns: int, data: bytes = b"") -> None:
+    def _tick(self, kind: link.ChunkKind, now_ns: int, data: bytes = b"") -> None:
         """Have the session take what happened on the wire, and the device what the session then sends."""
         session = self._session
         assert session is not None
-        self.chunks.append(RawChunk(now_ns, kind, data))
+        self.chunks.append(link.RawChunk(now_ns, kind, data))
         if data:
             frames = session.receive_data(data, now_ns)
             self.frames += [frame for frame in frames if not isinstance(frame, GnssFix)]
@@ -122,7 +112,7 @@ class VirtualLink:
         session.tick(now_ns)
         if said := bytes(session.outbox):
             session.outbox.clear()
-            self.chunks.append(RawChunk(now_ns, "sent", said))
+            self.chunks.append(link.RawChunk(now_ns, "sent", said))
             self._deliver(self.device.receive_data(said, self.now_ns))
 
     def _deliver(self, data: bytes) -> None:

@@ -13,17 +13,7 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.edit_requests import RequestModel
 from service.outputs import GraphPicture, Grid
-from service.web.protocol import (
-    encode_changes,
-    encode_graph,
-    encode_scan,
-    encode_standing,
-    event_fields,
-    health_json,
-    mountings_json,
-    pose_fields,
-    to_json,
-)
+from service.web import protocol
 from service.web.send_queue import Payload
 
 GO_TO = "moment_go_to"
@@ -71,28 +61,28 @@ def payloads_of(moment: Moment, first_ns: int, last_ns: int) -> dict[str, Payloa
     """Payloads by key, in the order in which a page needs them."""
     payloads: dict[str, Payload] = {}
     if moment.mountings is not None:
-        payloads["mountings"] = mountings_json(moment.mountings)
-    payloads["moment"] = to_json(  # in place of poses and events as they come
+        payloads["mountings"] = protocol.mountings_json(moment.mountings)
+    payloads["moment"] = protocol.to_json(  # in place of poses and events as they come
         "moment",
         at_s=moment.at_ns / 1e9,
         position_s=(moment.at_ns - first_ns) / 1e9,
         duration_s=(last_ns - first_ns) / 1e9,
         path=moment.path,
-        poses=list(map(pose_fields, moment.poses)),
+        poses=list(map(protocol.pose_fields, moment.poses)),
         map_words=moment.map_words,
-        events=event_fields(moment.events),
+        events=protocol.event_fields(moment.events),
     )
     if moment.statuses:
         delay_ms = {scan.sensor: (scan.arrived_ns - scan.stamp_ns) / 1e6 for scan in moment.scans}
         since_s = {status.name: since for status, since in moment.statuses}
         statuses = [status for status, _ in moment.statuses]
-        payloads["health"] = health_json(statuses, since_s, delay_ms, moment.at_ns / 1e9)
+        payloads["health"] = protocol.health_json(statuses, since_s, delay_ms, moment.at_ns / 1e9)
     if moment.graph is not None:
-        payloads["graph"] = encode_graph(moment.graph)
-    payloads[STANDING] = encode_standing(moment.standing)
+        payloads["graph"] = protocol.encode_graph(moment.graph)
+    payloads[STANDING] = protocol.encode_standing(moment.standing)
     if moment.changes is not None:
-        payloads[CHANGES] = encode_changes(moment.changes)
-    payloads |= {f"scan/{scan.sensor}": encode_scan(scan) for scan in moment.scans}
+        payloads[CHANGES] = protocol.encode_changes(moment.changes)
+    payloads |= {f"scan/{scan.sensor}": protocol.encode_scan(scan) for scan in moment.scans}
     return payloads
 
 

@@ -14,30 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.frames import LaserScan
-from service.encoding import (
-    CHANGES,
-    DIAGNOSTICS,
-    GRAPH,
-    LASER_SCAN,
-    MARKERS,
-    OCCUPANCY_GRID,
-    ODOMETRY,
-    STALE,
-    STANDING,
-    STRING,
-    TF,
-    Message,
-    Pose,
-    Status,
-    decode_diagnostics,
-    decode_event,
-    decode_frame,
-    decode_graph,
-    decode_grid,
-    decode_mountings,
-    decode_pose,
-    decode_upside_down,
-)
+from service import encoding
 from service.errors import InputError
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
@@ -50,14 +27,14 @@ from service.web.live_view import MAX_EVENTS, MAX_PATH_POINTS, PATH_STEP_M, UNRE
 from service.web.series import MAX_ROWS, PERIOD_S, FigureRows, Row
 
 TOPICS = {
-    "/pose": ODOMETRY,
-    "/map": OCCUPANCY_GRID,
-    f"/{GRAPH}": MARKERS,
-    f"/{STANDING}": OCCUPANCY_GRID,
-    f"/{CHANGES}": OCCUPANCY_GRID,
-    "/diagnostics": DIAGNOSTICS,
-    "/events": STRING,
-    "/tf_static": TF,
+    "/pose": encoding.ODOMETRY,
+    "/map": encoding.OCCUPANCY_GRID,
+    f"/{encoding.GRAPH}": encoding.MARKERS,
+    f"/{encoding.STANDING}": encoding.OCCUPANCY_GRID,
+    f"/{encoding.CHANGES}": encoding.OCCUPANCY_GRID,
+    "/diagnostics": encoding.DIAGNOSTICS,
+    "/events": encoding.STRING,
+    "/tf_static": encoding.TF,
 }
 NEW_MAP = ("reset_map", "load_map", "switch_profile")  # events with which another map and path begin
 KEPT_TILINGS = 3
@@ -75,18 +52,18 @@ class RecordedMoments:
         if "/pose" not in recorded:
             holds = ", ".join(map(str, recording.topics)) or "nothing"
             raise InputError(
-                f"{recording.paths[0]}: no /pose ({ODOMETRY}) in it, so there is nothing to look back at; it "
-                f"holds {holds}. Map it: corridor replay {recording.paths[0]} --web"
+                f"{recording.paths[0]}: no /pose ({encoding.ODOMETRY}) in it, so there is nothing to look "
+                f"back at; it holds {holds}. Map it: corridor replay {recording.paths[0]} --web"
             )
         self._lasers = [
             topic.name
             for topic in recording.topics
-            if topic.type == LASER_SCAN and topic.count and topic.name.count("/") == 2
+            if topic.type == encoding.LASER_SCAN and topic.count and topic.name.count("/") == 2
         ]
         self._log_ns: defaultdict[str, list[int]] = defaultdict(list)  # by channel: when each message came
         self._new_map_log_ns: list[int] = []
         self._events: list[tuple[int, float, str]] = []  # log time, stamp in s, text
-        self._health: list[tuple[int, Sequence[tuple[Status, float]]]] = []
+        self._health: list[tuple[int, Sequence[tuple[encoding.Status, float]]]] = []
         self._static: list[tuple[int, Mapping[str, SE2], frozenset[str]]] = []
         self._since = StatusSince()
         self.rows: list[Row] = []  # of figures, over all of it
@@ -122,7 +99,7 @@ class RecordedMoments:
         mountings, upside_down = self._mountings(at_ns)
         window = list(self._recording.messages([*self._lasers, "/pose"], at_ns - STALE_NS, at_ns))
         scans = self._scans(window, upside_down)
-        poses = [decode_pose(m.payload) for m in window if m.channel == "pose"]
+        poses = [encoding.decode_pose(m.payload) for m in window if m.channel == "pose"]
         began = bisect_right(self._new_map_log_ns, at_ns)
         since_ns = self._new_map_log_ns[began - 1] if began else 0
         return Moment(
@@ -133,7 +110,7 @@ class RecordedMoments:
             scans=scans,
             mountings=mountings,
             graph=self._graph(at_ns),
-            standing=self._grid(STANDING, at_ns, since_ns),
+            standing=self._grid(encoding.STANDING, at_ns, since_ns),
             changes=self._changes(at_ns, since_ns),
             statuses=self._statuses(at_ns),
             events=[(s, text) for log_ns, s, text in self._events if log_ns <= at_ns][-MAX_EVENTS:],
@@ -154,26 +131,26 @@ class RecordedMoments:
             self._log_ns[message.channel].append(log_ns)
             match message.channel:
                 case "pose":
-                    pose = decode_pose(message.payload)
+                    pose = encoding.decode_pose(message.payload)
                     xy_map.append((pose.pose.x_m, pose.pose.y_m))
                     figures.put_pose(pose)
                     figures.put_latencies([(log_ns - pose.stamp_ns) / 1e6])
                     progress((log_ns - self.first_ns) / span_ns)
                 case "diagnostics":
-                    statuses, stamp_s = decode_diagnostics(message.payload), message.stamp_ns / 1e9
+                    statuses, stamp_s = encoding.decode_diagnostics(message.payload), message.stamp_ns / 1e9
                     self._health.append((log_ns, [(one, self._since.put(one, stamp_s)) for one in statuses]))
                     figures.put_health(statuses)
                 case "events":
                     self._take_event(message)
                 case "tf_static":
-                    mountings = decode_mountings(message.payload)
-                    self._static.append((log_ns, mountings, decode_upside_down(message.payload)))
+                    mountings = encoding.decode_mountings(message.payload)
+                    self._static.append((log_ns, mountings, encoding.decode_upside_down(message.payload)))
             if (row := figures.row(log_ns / 1e9)) is not None:
                 self.rows.append(row)
         progress(1.0)
 
-    def _take_event(self, message: Message) -> None:
-        text = decode_event(message.payload)
+    def _take_event(self, message: encoding.Message) -> None:
+        text = encoding.decode_event(message.payload)
         if kind_of(text) in NEW_MAP:
             self._new_map_log_ns.append(message.log_ns)
         if kind_of(text) not in UNREPORTED:
@@ -183,56 +160,58 @@ class RecordedMoments:
         at = bisect_right(self._static, at_ns, key=lambda row: row[0])
         return ({}, frozenset()) if not at else self._static[at - 1][1:]
 
-    def _scans(self, window: Sequence[Message], upside_down: frozenset[str]) -> list[LaserScan]:
+    def _scans(self, window: Sequence[encoding.Message], upside_down: frozenset[str]) -> list[LaserScan]:
         """The newest of each laser."""
-        newest = {m.channel: m for m in window if m.type == LASER_SCAN}
+        newest = {m.channel: m for m in window if m.type == encoding.LASER_SCAN}
         scans = []
         for channel, message in newest.items():
             sensor = channel.rpartition("/")[0]
-            scan = decode_frame(message.type, message.payload, sensor, message.log_ns, sensor in upside_down)
+            scan = encoding.decode_frame(
+                message.type, message.payload, sensor, message.log_ns, sensor in upside_down
+            )
             if isinstance(scan, LaserScan):
                 scans.append(scan)
         return scans
 
-    def _pose_before(self, at_ns: int) -> list[Pose]:
+    def _pose_before(self, at_ns: int) -> list[encoding.Pose]:
         log_ns = self._newest("pose", at_ns)
-        return [] if log_ns is None else [decode_pose(self._message("/pose", log_ns).payload)]
+        return [] if log_ns is None else [encoding.decode_pose(self._message("/pose", log_ns).payload)]
 
-    def _statuses(self, at_ns: int) -> Sequence[tuple[Status, float]]:
+    def _statuses(self, at_ns: int) -> Sequence[tuple[encoding.Status, float]]:
         at = bisect_right(self._health, at_ns, key=lambda row: row[0])
         if at:
             return self._health[at - 1][1]
         words = "no health was recorded by then"
-        return [(Status("mapping", STALE, words, {"state": "not known"}), at_ns / 1e9)]
+        return [(encoding.Status("mapping", encoding.STALE, words, {"state": "not known"}), at_ns / 1e9)]
 
     def _map_words(self, at_ns: int) -> str:
         log_ns = self._newest("map", at_ns)
         return "no map was recorded by then" if log_ns is None else f"map recorded {_ago(at_ns - log_ns)}"
 
     def _graph(self, at_ns: int) -> GraphPicture:
-        log_ns = self._newest(GRAPH, at_ns)
+        log_ns = self._newest(encoding.GRAPH, at_ns)
         return NO_GRAPH if log_ns is None else self._graph_of(log_ns)
 
     def _changes(self, at_ns: int, since_ns: int) -> Grid | None:
         """None in a recording without any; else the page would offer to show them."""
-        if not self._log_ns[CHANGES]:
+        if not self._log_ns[encoding.CHANGES]:
             return None
-        return self._grid(CHANGES, at_ns, since_ns) or NOTHING_CHANGED
+        return self._grid(encoding.CHANGES, at_ns, since_ns) or NOTHING_CHANGED
 
     def _grid(self, channel: str, at_ns: int, since_ns: int) -> Grid | None:
         """The newest by then, of the map that began at since_ns."""
         log_ns = self._newest(channel, at_ns)
         if log_ns is None or log_ns < since_ns:
             return None
-        return decode_grid(self._message(f"/{channel}", log_ns).payload)
+        return encoding.decode_grid(self._message(f"/{channel}", log_ns).payload)
 
     def _read_tiles(self, log_ns: int) -> Sequence[TileUpdate]:
-        return tiles_of_grid(decode_grid(self._message("/map", log_ns).payload))
+        return tiles_of_grid(encoding.decode_grid(self._message("/map", log_ns).payload))
 
     def _read_graph(self, log_ns: int) -> GraphPicture:
-        return decode_graph(self._message(f"/{GRAPH}", log_ns).payload)
+        return encoding.decode_graph(self._message(f"/{encoding.GRAPH}", log_ns).payload)
 
-    def _message(self, topic: str, log_ns: int) -> Message:
+    def _message(self, topic: str, log_ns: int) -> encoding.Message:
         """The last of that log time."""
         *_, message = self._recording.messages([topic], log_ns, log_ns)
         return message
@@ -243,7 +222,7 @@ class RecordedMoments:
         return self._log_ns[channel][at - 1] if at else None
 
 
-def _around(poses: Sequence[Pose], scans: Sequence[LaserScan]) -> list[Pose]:
+def _around(poses: Sequence[encoding.Pose], scans: Sequence[LaserScan]) -> list[encoding.Pose]:
     """The newest, and of each scan the pose before it and the one after it; by rising stamps."""
     if not poses:
         return []

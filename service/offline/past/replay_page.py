@@ -16,19 +16,7 @@ from pydantic import Field
 
 from drivers.counted import counted
 from drivers.frames import LaserScan
-from service.encoding import (
-    CHANGES,
-    LEVEL_OF_STATE,
-    OK,
-    STANDING,
-    WARNING,
-    Status,
-    encode_diagnostics,
-    encode_frame,
-    encode_graph,
-    encode_pose,
-    encode_tf_static,
-)
+from service import encoding
 from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.edit_requests import RequestModel
@@ -107,7 +95,7 @@ class ReplayPage(PastPage, Watch):
         self._begin_map()
         self._log_ns = session.recording.first_log_ns
         self._phase = "replaying"
-        self.server.put(encode_tf_static(poses_base_sensor, self._log_ns, self._log_ns))
+        self.server.put(encoding.encode_tf_static(poses_base_sensor, self._log_ns, self._log_ns))
         self._tell_status()
 
     def wait_for(self, log_ns: int) -> None:
@@ -138,7 +126,7 @@ class ReplayPage(PastPage, Watch):
 
     def finished(self, tiles: Sequence[TileUpdate], poses_map_base: Sequence[SE2]) -> None:
         self.tiles.take(tiles)
-        self.server.put_ready({STANDING: encode_standing(None)})  # reported before the last loops
+        self.server.put_ready({encoding.STANDING: encode_standing(None)})  # reported before the last loops
         self._show_changes(self._mapper.map_changes if self._mapper is not None else None)
         self._show_graph()
         self._path.clear()
@@ -167,10 +155,12 @@ class ReplayPage(PastPage, Watch):
         self.server.put_ready({"moment": to_json("moment_over")})
         self.tiles.take([])
         self._changes = None
-        self.server.put_ready({STANDING: encode_standing(None), CHANGES: encode_changes(None)})
+        self.server.put_ready(
+            {encoding.STANDING: encode_standing(None), encoding.CHANGES: encode_changes(None)}
+        )
         self.server.put_path(np.empty((0, 2), np.float32))
         self._path.clear()
-        self.server.put(encode_graph(NO_GRAPH, self._log_ns))
+        self.server.put(encoding.encode_graph(NO_GRAPH, self._log_ns))
         self._scans.clear()
         self._output = None
 
@@ -187,8 +177,8 @@ class ReplayPage(PastPage, Watch):
         self.server.put_way(np.array(self._path, np.float32).reshape(-1, 2))
         self._path.clear()
         for scan in self._scans.values():
-            self.server.put(encode_frame(scan, log_ns=self._log_ns))
-        self.server.put(encode_pose(self._output, self._log_ns))
+            self.server.put(encoding.encode_frame(scan, log_ns=self._log_ns))
+        self.server.put(encoding.encode_pose(self._output, self._log_ns))
 
     def _show_tiles(self) -> None:
         if self._mapper is None or self._output is None:
@@ -196,7 +186,7 @@ class ReplayPage(PastPage, Watch):
         began_s = time.monotonic()
         self.tiles.take(self._mapper.tiles())
         self._show_graph()
-        self.server.put_ready({STANDING: encode_standing(self._mapper.standing())})
+        self.server.put_ready({encoding.STANDING: encode_standing(self._mapper.standing())})
         self._show_changes(self._mapper.changes_reported)
         now_s = time.monotonic()
         self._tiles_due_s = now_s + max(TILES_S, MIN_REST * (now_s - began_s))
@@ -204,21 +194,21 @@ class ReplayPage(PastPage, Watch):
     def _show_changes(self, changes: MapChanges | None) -> None:
         if changes is not None and not changes.has_same_cells(self._changes):
             self._changes = changes
-            self.server.put_ready({CHANGES: encode_changes(changes.as_grid())})
+            self.server.put_ready({encoding.CHANGES: encode_changes(changes.as_grid())})
 
     def _show_graph(self) -> None:
         picture = self._mapper.graph_picture if self._mapper is not None else None
         if picture is not None and picture is not self._graph:
             self._graph = picture
-            self.server.put(encode_graph(picture, self._log_ns))
+            self.server.put(encoding.encode_graph(picture, self._log_ns))
 
     def _tell_status(self) -> None:
         assert self._session is not None
         self._status_due_s = time.monotonic() + STATUS_S
         rows = [self._mapping_status(), self._replay_status(self._session)]
-        self.server.put(encode_diagnostics("diagnostics", rows, self._log_ns, self._log_ns))
+        self.server.put(encoding.encode_diagnostics("diagnostics", rows, self._log_ns, self._log_ns))
 
-    def _mapping_status(self) -> Status:
+    def _mapping_status(self) -> encoding.Status:
         counters = {} if self._mapper is None else self._mapper.counters
         values = {
             "state": "waiting",
@@ -226,7 +216,7 @@ class ReplayPage(PastPage, Watch):
             "loop_closures": str(counters.get("loop_closures", 0)),
         }
         if self._output is None:
-            return Status("mapping", WARNING, "no scan is mapped yet", values)
+            return encoding.Status("mapping", encoding.WARNING, "no scan is mapped yet", values)
         state = self._output.state
         values |= {"state": state, "inlier_ratio": f"{self._output.inlier_ratio:.3f}"}
         if self._phase == "finished":
@@ -234,11 +224,13 @@ class ReplayPage(PastPage, Watch):
                 f"finished: {counted(int(values['scans']), 'scan')} mapped, "
                 f"{counted(int(values['loop_closures']), 'loop')} closed"
             )
-            return Status("mapping", OK, words, values | {"state": "finished"})
+            return encoding.Status("mapping", encoding.OK, words, values | {"state": "finished"})
         values["reason_id"] = self._output.reason.id
-        return Status("mapping", LEVEL_OF_STATE[state], self._output.reason or state, values)
+        return encoding.Status(
+            "mapping", encoding.LEVEL_OF_STATE[state], self._output.reason or state, values
+        )
 
-    def _replay_status(self, session: Session) -> Status:
+    def _replay_status(self, session: Session) -> encoding.Status:
         recording, pace = session.recording, self._pace
         state = self._phase
         if state == "replaying" and pace.is_paused:
@@ -251,7 +243,7 @@ class ReplayPage(PastPage, Watch):
             "rate": f"{pace.rate:g}",
             "speed": f"{self._speed():.1f}",
         }
-        return Status("replay", OK, state, values)
+        return encoding.Status("replay", encoding.OK, state, values)
 
     def _speed(self) -> float:
         """Seconds of the recording a second, since the last status."""

@@ -11,19 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from service.encoding import (
-    LEVEL_OF_STATE,
-    Message,
-    Status,
-    encode_diagnostics,
-    encode_graph,
-    encode_grid,
-    encode_odom,
-    encode_pose,
-    encode_tf,
-    encode_tf_static,
-    pose_on_wire,
-)
+from service import encoding
 from service.errors import StorageError, words_of
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
@@ -96,13 +84,13 @@ def write_replay(done: Replay, out: Path, extras: Collection[Extra] = ()) -> Non
     try:
         out.mkdir(parents=True, exist_ok=True)
         stamps = [output.stamp_ns for output in done.outputs]
-        live = [pose_on_wire(output.pose_map_base) for output in done.outputs]
+        live = [encoding.pose_on_wire(output.pose_map_base) for output in done.outputs]
         write_tum(out / "trajectory_live.tum", zip(stamps, live, strict=True))
         write_states(out / STATES_FILE, done.outputs, done.lasers)
         for name in (GRAPH_FILE, GEO_FILE, "map.pgw", "map.png.aux.xml", RESULT_SESSION, REPORT_FILE):
             (out / name).unlink(missing_ok=True)
         shutil.rmtree(out / UNEDITED, ignore_errors=True)
-        poses = list(zip(stamps, map(pose_on_wire, done.poses_map_base), strict=True))
+        poses = list(zip(stamps, map(encoding.pose_on_wire, done.poses_map_base), strict=True))
         _write_files(out, poses, picture_of_tiles(done.tiles), done.g2o, done.geo, done.summary)
         write_changes(out / CHANGES_FILE, done.changes)
         _store_map(done, out / MAP_FOLDER)
@@ -191,23 +179,25 @@ def write_result_session(path: Path, done: Replay) -> None:
     write_messages(path, _messages(done), {"replay": about})
 
 
-def _messages(done: Replay) -> Iterator[Message]:
+def _messages(done: Replay) -> Iterator[encoding.Message]:
     first_ns = done.outputs[0].stamp_ns
-    yield encode_tf_static(done.poses_base_sensor, first_ns, first_ns, upside_down=done.upside_down)
+    yield encoding.encode_tf_static(done.poses_base_sensor, first_ns, first_ns, upside_down=done.upside_down)
     try:
-        yield encode_grid(grid_of_tiles(done.tiles), first_ns, first_ns)
+        yield encoding.encode_grid(grid_of_tiles(done.tiles), first_ns, first_ns)
     except StorageError as error:
         log.warning("%s has no /map: %s", RESULT_SESSION, error)
     if (graph := done.graph or done.session) is not None:
-        yield encode_graph(draw_saved(graph), first_ns)
+        yield encoding.encode_graph(draw_saved(graph), first_ns)
     for output, pose_map_base, laser in zip(done.outputs, done.poses_map_base, done.lasers, strict=True):
         at = replace(output, pose_map_odom=pose_map_base @ output.pose_odom_base.inverse())
-        for encode in (encode_pose, encode_odom, encode_tf):
+        for encode in (encoding.encode_pose, encoding.encode_odom, encoding.encode_tf):
             yield encode(at, output.stamp_ns)
-        yield encode_diagnostics("diagnostics", [_status(output, laser)], output.stamp_ns, output.stamp_ns)
+        yield encoding.encode_diagnostics(
+            "diagnostics", [_status(output, laser)], output.stamp_ns, output.stamp_ns
+        )
 
 
-def _status(output: MapperOutput, laser: str) -> Status:
+def _status(output: MapperOutput, laser: str) -> encoding.Status:
     along_m, across_m, heading_deg = sigmas_of(output)
     values = {
         "state": output.state,
@@ -218,4 +208,6 @@ def _status(output: MapperOutput, laser: str) -> Status:
         "inlier_ratio": f"{output.inlier_ratio:.3f}",
         "laser": laser,
     }
-    return Status("mapping", LEVEL_OF_STATE[output.state], output.reason or output.state, values)
+    return encoding.Status(
+        "mapping", encoding.LEVEL_OF_STATE[output.state], output.reason or output.state, values
+    )

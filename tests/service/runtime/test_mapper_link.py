@@ -16,19 +16,8 @@ from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
 from service.encoding import decode_pose, encode_frame
 from service.geometry.se2 import SE2
 from service.runtime import mapper_link, standstill
+from service.runtime import mapper_messages as msg
 from service.runtime.mapper_link import MapperLink, MapperLostError
-from service.runtime.mapper_messages import (
-    Answer,
-    FrameItem,
-    GraphItem,
-    LoadItem,
-    Mapped,
-    Setup,
-    Status,
-    SwitchItem,
-    Tiles,
-    TilesItem,
-)
 from tests.processes import alive, is_there, look_at
 from tests.service.runtime.mappers import FATAL_RANGE_M
 
@@ -53,19 +42,19 @@ class Heard:
     def taken_over(self, words: str) -> None:
         self.takeovers.append(words)
 
-    def refused(self, item: FrameItem) -> None:
+    def refused(self, item: msg.FrameItem) -> None:
         self.refusals.append(item.number)
 
-    def left_out(self, item: FrameItem) -> None:
+    def left_out(self, item: msg.FrameItem) -> None:
         self.left_outs.append(item.number)
 
     @property
     def graph_fault(self) -> str:
-        return next((m.graph_fault for m in reversed(self.messages) if isinstance(m, Status)), "")
+        return next((m.graph_fault for m in reversed(self.messages) if isinstance(m, msg.Status)), "")
 
     @property
     def poses(self) -> dict[int, bytes]:
-        return {m.number: m.messages[0].payload for m in self.messages if isinstance(m, Mapped)}
+        return {m.number: m.messages[0].payload for m in self.messages if isinstance(m, msg.Mapped)}
 
 
 class Drive:
@@ -73,7 +62,7 @@ class Drive:
 
     def __init__(self) -> None:
         self.heard = Heard()
-        setup = Setup({}, {"front": SE2()}, ("front",), frozenset(), 20.0, logging.WARNING)
+        setup = msg.Setup({}, {"front": SE2()}, ("front",), frozenset(), 20.0, logging.WARNING)
         self.link = MapperLink(setup, self.heard)
         self.failure = ""
         self.thread = threading.Thread(target=self._run, daemon=True)
@@ -98,21 +87,21 @@ class Drive:
     def _submit(self, frame: Frame, arrived_ns: int) -> None:
         message, number = encode_frame(frame, 0, frame.stamp_ns), self.link.next_number()
         self.link.submit(
-            FrameItem(number, frame.stamp_ns, arrived_ns, frame.sensor, message.type, message.payload)
+            msg.FrameItem(number, frame.stamp_ns, arrived_ns, frame.sensor, message.type, message.payload)
         )
 
-    def load(self, folder: Path, version: int) -> list[Answer]:
+    def load(self, folder: Path, version: int) -> list[msg.Answer]:
         """Where the answer will be."""
-        answers: list[Answer] = []
+        answers: list[msg.Answer] = []
         number = self.link.next_number()
-        self.link.submit(LoadItem(number, number, str(folder), version), answers.append)
+        self.link.submit(msg.LoadItem(number, number, str(folder), version), answers.append)
         return answers
 
-    def switch(self, profile: str) -> list[Answer]:
+    def switch(self, profile: str) -> list[msg.Answer]:
         """Where the answer will be."""
-        answers: list[Answer] = []
+        answers: list[msg.Answer] = []
         number = self.link.next_number()
-        self.link.submit(SwitchItem(number, number, {"profile": profile}), answers.append)
+        self.link.submit(msg.SwitchItem(number, number, {"profile": profile}), answers.append)
         return answers
 
     def until(self, what: Callable[[], bool]) -> None:
@@ -183,7 +172,7 @@ def test_a_mapper_that_is_killed_again_and_again_gives_the_poses_of_one_that_is_
         assert drive.link.pid != pid
     assert drive.heard.poses == undisturbed.heard.poses
     assert len(drive.heard.takeovers) == drive.link.restarts == 3
-    numbers = [m.number for m in drive.heard.messages if isinstance(m, Mapped)]
+    numbers = [m.number for m in drive.heard.messages if isinstance(m, msg.Mapped)]
     assert numbers == sorted(set(numbers))  # nothing is reported twice
 
 
@@ -267,11 +256,11 @@ def test_a_change_by_hand_is_made_and_answered_once_where_the_mapper_is_killed_b
     strange("not at all")
     drive.start().scan(10)
     drive.until_mapped()
-    answers: list[Answer] = []
+    answers: list[msg.Answer] = []
     for y_m in (0.5, 1.0):
         number = drive.link.next_number()
         wall = {"change": {"what": "wall", "corners": [[0.0, y_m], [1.0, y_m]]}}
-        drive.link.submit(GraphItem(number, number, "edit_map", wall), answers.append)
+        drive.link.submit(msg.GraphItem(number, number, "edit_map", wall), answers.append)
     if is_copied:
         drive.until_standby(number)
     os.kill(drive.link.pid, signal.SIGKILL)
@@ -298,11 +287,11 @@ def test_tiles_after_a_takeover_hold_the_whole_map(drive: Drive):
     drive.until_mapped()
     before = len(drive.heard.messages)
     os.kill(drive.link.pid, signal.SIGKILL)
-    answers: list[Answer] = []
+    answers: list[msg.Answer] = []
     drive.scan(5)
-    drive.link.submit(TilesItem(drive.link.next_number(), 1), answers.append)
+    drive.link.submit(msg.TilesItem(drive.link.next_number(), 1), answers.append)
     drive.until(lambda: bool(answers))
-    assert any(isinstance(m, Tiles) for m in drive.heard.messages[before:])
+    assert any(isinstance(m, msg.Tiles) for m in drive.heard.messages[before:])
 
 
 def test_stand_bys_end_with_a_profile_that_has_none_and_come_back_with_one_that_has(drive: Drive):

@@ -12,19 +12,9 @@ import pytest
 from service.encoding import IMU, LASER_SCAN, ODOMETRY
 from service.geometry.se2 import SE2
 from service.runtime import backlog, mapper_link
+from service.runtime import mapper_messages as msg
 from service.runtime.channel import Channel, ChannelClosedError
 from service.runtime.mapper_link import MapperLink
-from service.runtime.mapper_messages import (
-    CanCopy,
-    FrameItem,
-    Hello,
-    Item,
-    MakeStandby,
-    Ready,
-    Setup,
-    Status,
-    TilesItem,
-)
 from tests.in_background import started
 from tests.service.runtime.test_mapper_link import Heard, folder_of
 from tests.waiting import wait_until
@@ -58,7 +48,7 @@ class Acted:
         return self.heard
 
     def numbers(self) -> list[int]:
-        return [message.number for message in self.heard if isinstance(message, Item)]
+        return [message.number for message in self.heard if isinstance(message, msg.Item)]
 
 
 @pytest.fixture
@@ -68,7 +58,7 @@ def heard() -> Heard:
 
 @pytest.fixture
 def link(heard: Heard) -> Iterator[MapperLink]:
-    setup = Setup({}, {"front": SE2()}, ("front",), frozenset(), 20.0, logging.WARNING)
+    setup = msg.Setup({}, {"front": SE2()}, ("front",), frozenset(), 20.0, logging.WARNING)
     link = MapperLink(setup, heard)
     running = started(link.run)
     yield link
@@ -82,19 +72,19 @@ def link(heard: Heard) -> Iterator[MapperLink]:
 def submit(link: MapperLink, count: int) -> None:
     for _ in range(count):
         number = link.next_number()
-        link.submit(TilesItem(number, number))
+        link.submit(msg.TilesItem(number, number))
 
 
 def first_mapper(link: MapperLink) -> Acted:
-    mapper = Acted(folder_of(link)).say(Hello(FIRST, 0, is_standby=False))
+    mapper = Acted(folder_of(link)).say(msg.Hello(FIRST, 0, is_standby=False))
     mapper.until(1)  # the set-up
-    mapper.say(Ready(has_standby=True))
+    mapper.say(msg.Ready(has_standby=True))
     assert link.wait_ready(TIMEOUT_S)
     return mapper
 
 
 def standby(link: MapperLink, pid: int, number: int, of_pid: int) -> Acted:
-    return Acted(folder_of(link)).say(Hello(pid, number, is_standby=True, of_pid=of_pid))
+    return Acted(folder_of(link)).say(msg.Hello(pid, number, is_standby=True, of_pid=of_pid))
 
 
 def until_standby(link: MapperLink, pid: int) -> None:
@@ -127,7 +117,7 @@ def test_samples_that_wait_for_a_scan_wait_for_the_stand_by_too(
     """No mapper is there to send them to when they have waited long enough."""
     monkeypatch.setattr(mapper_link, "HOLD_NS", 10**18)
     mapper = first_mapper(link)
-    link.submit(FrameItem(1, 1, time.monotonic_ns(), "base", ODOMETRY, b""))
+    link.submit(msg.FrameItem(1, 1, time.monotonic_ns(), "base", ODOMETRY, b""))
     mapper.channel.close()
     wait_until(lambda: link.pid == 0, words="the lost mapper has a number still")
     monkeypatch.setattr(mapper_link, "HOLD_NS", 0)
@@ -146,7 +136,7 @@ def test_a_copy_that_a_newer_one_has_overtaken_is_sent_away(link: MapperLink):
     until_standby(link, SECOND)
     newer.channel.close()
     mapper.until(7)
-    assert isinstance(mapper.heard[-1], MakeStandby)  # it is heard that the newer one is gone
+    assert isinstance(mapper.heard[-1], msg.MakeStandby)  # it is heard that the newer one is gone
     assert is_sent_away(standby(link, LATE, 2, of_pid=FIRST))
     assert link.standby_pid == 0
 
@@ -160,7 +150,7 @@ def test_the_connection_to_a_mapper_that_takes_nothing_any_more_is_closed(link: 
     second.until(2)
     assert second.numbers() == [1]
     with pytest.raises(ChannelClosedError):
-        first.say(Ready(has_standby=True))
+        first.say(msg.Ready(has_standby=True))
 
 
 def test_samples_go_with_the_next_scan_and_soon_without_one(link: MapperLink):
@@ -170,7 +160,7 @@ def test_samples_go_with_the_next_scan_and_soon_without_one(link: MapperLink):
     def submit_one(number: int, type_name: str, arrived_ms: int) -> list[int]:
         """Numbers of the items that go out by that."""
         arrived_ns = later_ns + arrived_ms * 1_000_000
-        link.submit(FrameItem(number, number, arrived_ns, "any", type_name, b""))
+        link.submit(msg.FrameItem(number, number, arrived_ns, "any", type_name, b""))
         return [item.number for item in mapper.channel.receive()]
 
     sent = [submit_one(1, ODOMETRY, 0), submit_one(2, IMU, 5), submit_one(3, LASER_SCAN, 10)]
@@ -186,12 +176,12 @@ def test_scans_of_a_mapper_that_is_behind_are_left_out_and_samples_are_not(
 
     def submit_one(type_name: str) -> int:
         number = link.next_number()
-        link.submit(FrameItem(number, number, 0, "any", type_name, b""))
+        link.submit(msg.FrameItem(number, number, 0, "any", type_name, b""))
         return number
 
     assert [submit_one(name) for name in (LASER_SCAN, IMU, LASER_SCAN)] == [1, 2, 3]
     assert [submit_one(name) for name in (LASER_SCAN, ODOMETRY, LASER_SCAN)] == [4, 4, 5]
-    mapper.say(Status(2))
+    mapper.say(msg.Status(2))
     wait_until(lambda: link.waiting == 2, words="what the mapper has taken is not known")
     assert submit_one(LASER_SCAN) == 5
     mapper.until(6)
@@ -208,13 +198,13 @@ def test_a_copy_that_would_need_items_from_before_they_were_kept_again_is_sent_a
     mapper.until(3)
     before = standby(link, SECOND, 1, of_pid=FIRST)
     until_standby(link, SECOND)
-    mapper.say(CanCopy(False))
+    mapper.say(msg.CanCopy(False))
     assert is_sent_away(before)  # it knows nothing of the other profile
     submit(link, 3)
     mapper.until(6)
     submit(link, 5)
     mapper.until(11)
-    mapper.say(CanCopy(True))
+    mapper.say(msg.CanCopy(True))
     turns = link.turns
     wait_until(lambda: link.turns > turns + 1, words="the link stands still")
     late = standby(link, LATE, 9, of_pid=FIRST)
