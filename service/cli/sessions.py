@@ -1,11 +1,13 @@
-"""replay, import, recover, export, view, score: work on files."""
+"""replay, import, recover, export, report, view, score, calibrate, site build: work on files."""
 
 import argparse
+import json
 import logging
 import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from service.offline.past.replay_page import ReplayPage
     from service.offline.past.view import View
     from service.offline.replay.replay import Outcome
+
 
 log = logging.getLogger(__name__)
 
@@ -267,4 +270,45 @@ def score(parsed: argparse.Namespace) -> int:
 
     scored = score_trajectory(parsed.estimate, parsed.truth, parsed.shift_s, parsed.offset_x, parsed.pairs)
     print_report(scored, parsed.json)
+    return 0
+
+
+def site(parsed: argparse.Namespace) -> int:
+    ensure_cache_dir()
+    from service.offline.replay.setup import ReplayOptions
+    from service.offline.site.build import site_build, site_table, summary_of
+
+    options = ReplayOptions(config=parsed.config, choice=choice_of(parsed))
+    paths = [path_or_url(one) for one in parsed.sessions]
+    with engine_of(parsed) as engine, progress("site build") as shown:
+        report = site_build(paths, options, parsed.out, engine, shown, parsed.join)
+    if parsed.json:
+        print_result(report, as_json=True)
+        return 0
+    print_table(site_table(report))
+    for name, why in report["left_out"].items():
+        print(f"left out: {name}: {why}")
+    for warning in report["warnings"]:
+        print(f"warning: {warning}")
+    print(summary_of(report))
+    return 0
+
+
+def calibrate(parsed: argparse.Namespace) -> int:
+    ensure_cache_dir()
+    from service.cli.recordings import choice_of
+    from service.offline.calibrate.calibrate import calibrate as calibrate_by
+    from service.offline.importing.session_file import refuse_to_overwrite
+    from service.offline.writing import complete_files, refuse_unwritable_file
+
+    if parsed.out is not None:
+        for path in parsed.files:
+            refuse_to_overwrite(path, parsed.out)
+        refuse_unwritable_file(parsed.out)
+    with progress("calibrate") as shown:
+        done = calibrate_by(parsed.files, parsed.config, parsed.reference, shown, choice_of(parsed))
+    if parsed.out is not None:
+        with complete_files(parsed.out) as path:
+            path.write_text(done.config or done.patch, encoding="utf-8")
+    print(json.dumps(asdict(done), allow_nan=False) if parsed.json else printable(done))
     return 0

@@ -4,8 +4,6 @@ A name is the common name of a certificate, or that of a user. Its role decides:
 commands besides, a vehicle publishes below its own name. Without a role nothing is allowed.
 """
 
-import os
-import stat
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,9 +11,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from drivers.section import Section
-from service.errors import InputError, StorageError, words_of
+from service.errors import StorageError
+from service.private_file import read_private
 from service.publishing.keys import ROOT
-from service.readable import open_file
 
 LOCAL_PROTOCOLS = ("tcp", "udp", "ws", "unixsock-stream")  # a config has these on this machine alone
 MAX_PASSWORDS_BYTES = 1_000_000
@@ -89,7 +87,7 @@ def link_settings(security: SecurityConfig) -> dict[str, Any]:
     """
     settings: dict[str, Any] = {}
     if (tls := security.tls) is not None:
-        _check_private(tls.key, "the key")
+        read_private(tls.key, "the key of publishing.security", 0)
         settings["transport/link/tls"] = {
             "root_ca_certificate": str(tls.ca),
             **{f"{side}_certificate": str(tls.certificate) for side in ("listen", "connect")},
@@ -98,12 +96,12 @@ def link_settings(security: SecurityConfig) -> dict[str, Any]:
             "verify_name_on_connect": True,
         }
     if (users := security.users) is not None:
-        _check_private(users.file, "passwords")
+        passwords = read_private(users.file, "passwords of publishing.security", MAX_PASSWORDS_BYTES)
         settings["transport/auth/usrpwd"] = {"dictionary_file": str(users.file)}
         if users.name is not None:
             settings["transport/auth/usrpwd"] |= {
                 "user": users.name,
-                "password": _password(users.file, users.name),
+                "password": _password(passwords, users),
             }
     return settings
 
@@ -190,28 +188,15 @@ def _rule(
     }
 
 
-def _check_private(path: Path, what: str) -> None:
+def _password(passwords: bytes, users: UsersConfig) -> str:
     try:
-        with open_file(path) as file:
-            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-    except (OSError, InputError) as error:
-        raise StorageError(
-            f"{path}: {what} of publishing.security cannot be read: {words_of(error)}"
-        ) from error
-    if mode & 0o077:
-        raise StorageError(f"{path}: others may read {what} (mode {mode:04o}); chmod 600 {path}")
-
-
-def _password(path: Path, name: str) -> str:
-    try:
-        with open_file(path) as file:
-            lines = file.read(MAX_PASSWORDS_BYTES).decode().splitlines()
-    except (OSError, UnicodeDecodeError, InputError) as error:
-        raise StorageError(
-            f"{path}: passwords of publishing.security cannot be read: {words_of(error)}"
-        ) from error
+        lines = passwords.decode().splitlines()
+    except UnicodeDecodeError as error:
+        raise StorageError(f"{users.file}: no text of UTF-8: {error.reason}") from error
     for line in lines:
         user, separator, password = line.partition(":")
-        if separator and user == name:
+        if separator and user == users.name:
             return password
-    raise StorageError(f"{path}: no line {name}:<password>, and publishing.security.users.name is {name}")
+    raise StorageError(
+        f"{users.file}: no line {users.name}:<password>, and publishing.security.users.name is {users.name}"
+    )

@@ -9,13 +9,12 @@ import ipaddress
 import os
 import secrets
 import socket
-import stat
 from collections.abc import Collection
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from service.errors import InputError, StorageError, words_of
-from service.readable import open_file
+from service.errors import StorageError, words_of
+from service.private_file import read_private
 
 TOKEN_BYTES = 16
 LONGEST_TOKEN_FILE = 1000
@@ -66,17 +65,10 @@ def token_from_file(path: Path) -> str:
 
 
 def _kept_token(path: Path) -> str:
-    try:
-        mode = stat.S_IMODE(path.stat().st_mode)
-        with open_file(path) as file:
-            token = file.read(LONGEST_TOKEN_FILE).decode("ascii").strip()
-    except (OSError, UnicodeDecodeError, InputError) as error:
-        raise StorageError(f"{path}: the token of the page cannot be read: {words_of(error)}") from error
-    if mode & 0o077:
-        raise StorageError(
-            f"{path}: others may read the token of the page (mode {mode:04o}); chmod 600 {path}"
-        )
-    if not token:
+    content = read_private(path, "the token of the page", LONGEST_TOKEN_FILE)
+    if not content.isascii():
+        raise StorageError(f"{path}: the token of the page cannot be read: it is no text of ASCII")
+    if not (token := content.decode().strip()):
         raise StorageError(f"{path}: empty; remove it, and the next start writes a token into it")
     return token
 

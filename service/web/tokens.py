@@ -7,8 +7,6 @@ The service's own token is in a file that it makes. Further ones, for people, ar
 import hashlib
 import json
 import logging
-import os
-import stat
 import time
 from collections import OrderedDict
 from collections.abc import Callable
@@ -19,6 +17,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from drivers.section import Section
 from service.errors import InputError, StorageError, words_of
+from service.private_file import read_private, write_whole
 from service.web.access import is_token, new_token
 
 log = logging.getLogger(__name__)
@@ -55,15 +54,11 @@ def granted_beside(token_file: Path) -> Path:
 def read_grants(path: Path) -> tuple[Grant, ...]:
     """Raises StorageError where it cannot be read or others may write it, InputError where it is damaged."""
     try:
-        with path.open("rb") as file:
-            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-            text = file.read(MAX_FILE_BYTES)
-    except FileNotFoundError:
-        return ()
-    except OSError as error:
-        raise StorageError(f"{path}: the tokens cannot be read: {words_of(error)}") from error
-    if mode & 0o077:
-        raise StorageError(f"{path}: others may use it (mode {mode:04o}); chmod 600 {path}")
+        text = read_private(path, "the further tokens", MAX_FILE_BYTES)
+    except StorageError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            return ()
+        raise
     try:
         return _GRANTS.validate_json(text)
     except ValidationError as error:
@@ -167,17 +162,8 @@ def _digest(token: str) -> str:
 
 def _write(path: Path, grants: tuple[Grant, ...]) -> None:
     text = json.dumps([one.model_dump() for one in grants], indent=1)
-    beside = path.with_name(f".{path.name}.new")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        beside.unlink(missing_ok=True)
-        with open(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-            file.write(f"{text}\n")
-            file.flush()
-            os.fsync(file.fileno())
-            if os.geteuid() == 0:  # for the service, whose folder it is
-                owner = path.parent.stat()
-                os.fchown(file.fileno(), owner.st_uid, owner.st_gid)
-        beside.replace(path)
+        write_whole(path, f"{text}\n".encode(), is_of_folder=True)
     except OSError as error:
         raise StorageError(f"{path}: the tokens cannot be written: {words_of(error)}") from error

@@ -34,7 +34,7 @@ class Check:
 
 
 def _checks() -> list[Check]:
-    from tests.interop import create, debian, hokuyo, install, recording, ros2, trajectory
+    from tests.interop import create, debian, hokuyo, install, ros2, session
 
     clients = Venv("clients", ("hokuyolx", "pycreate2", "pyroombaadapter", "setuptools"))
     readers = Venv("readers", ("mcap-ros2-support",))
@@ -48,9 +48,9 @@ def _checks() -> list[Check]:
         Check("hokuyolx", "fake UTM-30LX-EW, TCP", clients, hokuyo.run_hokuyolx),
         Check("pycreate2", "fake Create 2, terminal", clients, create.run_pycreate2),
         Check("pyroombaadapter", "fake Create 2, terminal", clients, create.run_pyroombaadapter),
-        Check("mcap-ros2-support", "a recorded session", readers, recording.run_mcap_ros2),
-        Check("rerun-sdk", "a recorded session", viewer, recording.run_rerun),
-        Check("evo", "corridor score", scorer, trajectory.run_evo),
+        Check("mcap-ros2-support", "a recorded session", readers, session.run_mcap_ros2),
+        Check("rerun-sdk", "a recorded session", viewer, session.run_rerun),
+        Check("evo", "corridor score", scorer, session.run_evo),
         Check("zenoh-ros2-sdk", "corridor run, ros2 on", node, ros2.run_sdk),
         Check("pamoja-ros2", "keys of ros2", names, ros2.run_pamoja),
         Check("pip", "wheels of dependencies", installers, install.run_wheels),

@@ -5,7 +5,6 @@ The role stands in the certificate as its organisational unit. ca.key signs: it 
 
 import ipaddress
 import json
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -18,6 +17,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from service.errors import InputError, StorageError, words_of
+from service.private_file import write_whole
 from service.publishing.security import RolesConfig, SecurityConfig, TlsConfig, access_control
 from service.readable import open_file
 
@@ -83,8 +83,8 @@ class _Site:
         if self._is_new:
             self._key = ec.generate_private_key(ec.SECP256R1())
             self._certificate = self._sign_itself()
-            _write(paths[1], _pem_of_key(self._key), 0o600)
-            _write(paths[0], _pem(self._certificate), 0o644)
+            write_whole(paths[1], _pem_of_key(self._key))
+            write_whole(paths[0], _pem(self._certificate), 0o644)
         else:
             self._certificate = read_certificate(paths[0])
             self._key = _read_key(paths[1])
@@ -133,9 +133,9 @@ class _Site:
                 return "kept"
         key = _read_key(key_path) if has_key else ec.generate_private_key(ec.SECP256R1())
         if not has_key:
-            _write(key_path, _pem_of_key(key), 0o600)
+            write_whole(key_path, _pem_of_key(key))
         what = "renewed" if path.exists() else "made"
-        _write(path, _pem(self._sign(holder, key.public_key())), 0o644)
+        write_whole(path, _pem(self._sign(holder, key.public_key())), 0o644)
         return what
 
     def _sign_itself(self) -> x509.Certificate:
@@ -184,7 +184,7 @@ class _Site:
         tls = TlsConfig(ca=Path("ca.pem"), certificate=Path("ca.pem"), key=Path("ca.key"))
         security = SecurityConfig(tls=tls, roles=_roles(holders))
         text = json.dumps({"access_control": access_control(security, None, trusts_plain=False)}, indent=1)
-        _write(self._folder / RULES, f"{text}\n".encode(), 0o644)
+        write_whole(self._folder / RULES, f"{text}\n".encode(), 0o644)
 
 
 def read_certificate(path: Path) -> x509.Certificate:
@@ -271,14 +271,3 @@ def _pem_of_key(key: ec.EllipticCurvePrivateKey) -> bytes:
     return key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
-
-
-def _write(path: Path, content: bytes, mode: int) -> None:
-    """Completely or not at all, readable for others only where mode allows it."""
-    beside = path.with_name(f".{path.name}.new")
-    beside.unlink(missing_ok=True)
-    with open(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)

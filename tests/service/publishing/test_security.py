@@ -273,7 +273,9 @@ def test_files_that_others_may_read_are_refused(site, tmp_path):
     key.write_bytes((site / "veh1.key").read_bytes())
     key.chmod(0o640)
     security = SecurityConfig(tls=tls(site, "veh1") | {"key": str(key)})
-    with pytest.raises(StorageError, match=r"others may read the key \(mode 0640\); chmod 600"):
+    with pytest.raises(
+        StorageError, match=r"others may read the key of publishing.security \(mode 0640\); chmod 600"
+    ):
         link_settings(security)
     with pytest.raises(StorageError, match="no line veh1:<password>"):
         link_settings(SecurityConfig(users={"file": str(site / "users"), "name": "veh1"}))

@@ -145,4 +145,4 @@ def test_a_viewers_token_gives_no_commands_and_a_revoked_one_no_more(serve, tmp_
     talk(server, guess)
     assert server.health().level == 1
     assert server.health().values["reason_id"] == "token_unreadable"
-    assert "others may use it" in server.health().message
+    assert "others may read the further tokens" in server.health().message

@@ -34,7 +34,7 @@ def test_a_token_has_name_role_and_end_and_is_kept_as_a_digest(tmp_path):
 @pytest.mark.parametrize(
     ("text", "mode", "words"),
     [
-        ("[]", 0o644, r"others may use it \(mode 0644\); chmod 600"),
+        ("[]", 0o644, r"others may read the further tokens \(mode 0644\); chmod 600"),
         ("{", 0o600, "no tokens of corridor: .*; remove the file"),
         ('[{"name": "a", "role": "root", "sha256": "0"}]', 0o600, "no tokens of corridor"),
     ],
