@@ -335,3 +335,13 @@ def _through(mapper: Mapper[Any] | MappingSession, frames: Sequence[Frame], what
     away = [what.truth[output.stamp_ns].inverse() @ output.pose_map_base for output in outputs]
     errors = np.array([(e.x_m, e.y_m, e.theta_rad) for e in away])
     return Run(outputs, np.array(took_ms), mapper, errors)
+
+
+def off_walls_m(xy: npt.NDArray[np.float64], walls: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(N,) from each of (N, 2) places to the nearest of walls [x0, y0, x1, y1]."""
+    nearest_m = np.full(len(xy), np.inf)
+    for x0, y0, x1, y1 in walls:
+        way, off = np.array([x1 - x0, y1 - y0]), xy - (x0, y0)
+        along = np.clip(off @ way / max(way @ way, 1e-12), 0.0, 1.0)
+        nearest_m = np.minimum(nearest_m, np.hypot(*(off - along[:, None] * way).T))
+    return nearest_m

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from drivers.frames import Frame, LaserScan
 from service.geometry import poses as se2
@@ -29,7 +28,7 @@ from tests.accuracy.buildings import FAST_MALL, LMS100_25HZ, MALL_PATH_LENGTH_M,
 from tests.papers.report import Row, Section
 from tests.service.mapper.graph.relocalise.evidence_margin import evidence_margin
 from tests.shared_data import SHARED
-from tests.simulated import LMS100_50HZ, Laser, Wheels, begun_at, drive, heading_rad
+from tests.simulated import LMS100_50HZ, Laser, Wheels, begun_at, drive, heading_rad, off_walls_m
 
 PLACES = 100  # of each kind, over all seeds; of each recording
 CLEARANCE_M = 0.4  # of a place from every wall
@@ -241,7 +240,7 @@ def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tup
     for k in random.permutation(len(x_m)).tolist():
         at = SE2(float(x_m[k]), float(y_m[k]), float(random.uniform(-math.pi, math.pi)))
         kind = near if known.away_m(np.array([at.x_m, at.y_m, 0.0])).min() < ON_PATH_M else far
-        if len(kind) < count and _clearance_m(world, first @ at) >= CLEARANCE_M:
+        if len(kind) < count and off_walls_m(np.array([(first @ at)[:2]]), world.segments)[0] >= CLEARANCE_M:
             kind.append(first @ at)
         if len(near) == count and len(far) == count:
             break
@@ -316,10 +315,3 @@ def _mapped(frames: Sequence[Frame], mountings: Mapping[str, SE2]) -> tuple[Begi
 def _seen_from(frame: SE2, truth: Mapping[int, SE2]) -> dict[int, Floats]:
     seen = {stamp_ns: frame @ pose for stamp_ns, pose in truth.items()}
     return {ns: np.array(pose) for ns, pose in seen.items()}
-
-
-def _clearance_m(world: World, place: SE2) -> float:
-    begin, way = world.segments[:, :2], world.segments[:, 2:] - world.segments[:, :2]
-    to: npt.NDArray[np.float64] = np.array([place.x_m, place.y_m]) - begin
-    along = np.clip((to * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), 1e-12), 0.0, 1.0)
-    return float(np.hypot(*(to - along[:, None] * way).T).min())

@@ -17,7 +17,18 @@ from simulators.truth import LMS100
 from simulators.world import Plan, Point, World, make_world
 from tests.accuracy.driving import Errors, ok_and_wrong_row
 from tests.papers.report import Row, Section
-from tests.simulated import LMS100_50HZ, Drive, Laser, Run, Wheels, begun_at, drive, heading_rad, run
+from tests.simulated import (
+    LMS100_50HZ,
+    Drive,
+    Laser,
+    Run,
+    Wheels,
+    begun_at,
+    drive,
+    heading_rad,
+    off_walls_m,
+    run,
+)
 
 COARSE = Laser(replace(LMS100, range_max_m=30.0), 181, 5.0, -90.0, 1.0)  # an old SICK: 1 deg, 5 Hz
 LMS100_25HZ = replace(LMS100_50HZ, rate_hz=25.0)
@@ -215,15 +226,8 @@ def _beside(rng: np.random.Generator, way: Sequence[Point], low: Point, high: Po
     """A random place at least `clear_m` beside the way."""
     while True:
         place = rng.uniform(low, high)
-        if min(_apart_m(place, a, b) for a, b in pairwise(way)) > clear_m:
+        if off_walls_m(place[None], np.hstack((way[:-1], way[1:])))[0] > clear_m:
             return float(place[0]), float(place[1])
-
-
-def _apart_m(place: np.ndarray, begin: Point, end: Point) -> float:
-    """From a segment."""
-    a, along = np.array(begin, float), np.subtract(end, begin).astype(float)
-    share = float(np.clip((place - a) @ along / (along @ along), 0.0, 1.0))
-    return float(np.hypot(*(place - a - share * along)))
 
 
 def driven_along(name: str, plan: Plan, way: Sequence[Point], speed_mps: float = 1.0) -> World:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import OdometrySample
+from service.geometry.poses import points_from
 from service.geometry.se2 import SE2
 from service.outputs import UNKNOWN, TileUpdate
 from simulators.world import World
@@ -16,7 +17,7 @@ from simulators.worlds import WORLDS
 from simulators.worlds.trials import LEAVING_S, glass_hall
 from tests.accuracy.driving import Errors, Trip, errors_of
 from tests.papers.report import Row, Section
-from tests.simulated import LMS100_50HZ, Drive, Imu, Run, Wheels
+from tests.simulated import LMS100_50HZ, Drive, Imu, Run, Wheels, off_walls_m
 
 GHOST_WALL_M = 0.30  # farther from every wall an occupied cell is no wall
 GHOST_PERCENT = 65  # occupied from here on
@@ -126,27 +127,17 @@ def parked(seeds: Sequence[int]) -> Section:
 def ghost_cells(world: World, drive: Drive, done: Run, lately_s: float = GHOST_AFTER_S) -> int:
     """Cells shown occupied where there is neither a wall nor was anybody in the last lately_s."""
     tiles: list[TileUpdate] = done.mapper.changed_tiles()
-    places = np.vstack([_occupied(tile) for tile in tiles])
-    first = drive.world_first
-    c, s = math.cos(first.theta_rad), math.sin(first.theta_rad)
-    places = places @ np.array([[c, s], [-s, c]]) + (first.x_m, first.y_m)
-    begin, way = world.segments[:, :2], world.segments[:, 2:] - world.segments[:, :2]
+    places = points_from(np.array(drive.world_first), np.vstack([_occupied(tile) for tile in tiles]))
+    places = places[off_walls_m(places, world.segments) >= GHOST_WALL_M]
     end_s = max(drive.truth) * 1e-9
-    ghosts = 0
     recent = [
         person.place(float(t))
         for person in world.people
         for t in np.arange(end_s - lately_s, end_s, 0.1)
         if person.from_s <= t < person.to_s
     ]
-    for place in places:
-        share = np.clip(((place - begin) * way).sum(axis=1) / (way**2).sum(axis=1), 0.0, 1.0)
-        if np.hypot(*(begin + share[:, None] * way - place).T).min() < GHOST_WALL_M:
-            continue
-        if recent and np.hypot(*(np.array(recent) - place).T).min() < GHOST_WALL_M + 0.25:
-            continue
-        ghosts += 1
-    return ghosts
+    near_m = GHOST_WALL_M + 0.25
+    return sum(not recent or np.hypot(*(np.array(recent) - at).T).min() >= near_m for at in places)
 
 
 def _occupied(tile: TileUpdate) -> npt.NDArray[np.float64]:

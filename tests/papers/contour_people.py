@@ -13,7 +13,7 @@ from tests.papers.contour_maps import BEAMS, Array, Window, at_phase, grid, lear
 from tests.papers.contour_pictures import draw_track
 from tests.papers.report import Row, Section, seeds_text
 from tests.papers.true_poses import true_scans
-from tests.simulated import LMS100_50HZ, Drive, begun_beside, drive
+from tests.simulated import LMS100_50HZ, Drive, begun_beside, drive, off_walls_m
 
 CROSSING_M = 3.0  # ahead of the vehicle
 CROSSED_M = (CROSSING_M - 0.28, CROSSING_M - 0.08, -0.9, 0.9)  # the side of a person that is seen
@@ -76,7 +76,7 @@ def people(
     maps = {variant: [learn(ride, learning_config(*variant)) for ride in rides] for variant in variants}
     cell_m = learning_config("printed", True).cell_m
     xy = grid(walked_m, cell_m)
-    xy = xy[~near_walls(world, xy, 0.25)]
+    xy = xy[off_walls_m(xy, world.segments) >= 0.25]
     places = [xy - offset_m(ride) for ride in rides]
     tracks = [at[read(made, at)[:, 0] > 0.5] for made, at in zip(maps["printed", False], places, strict=True)]
     walls = [seen_walls(ride, cell_m) for ride in rides]
@@ -115,16 +115,6 @@ def people(
 def learning_config(update: str, fades: bool, protect_count: int = 1000) -> ContourMapConfig:
     learning = {"update": update, "decrease": fades, "protect_count": protect_count}
     return ContourMapConfig.model_validate({"levels": 1, "cell_m": 0.05, "learning": learning})
-
-
-def near_walls(world: World, xy: Array, within_m: float) -> Array:
-    """(N,) whether a place lies so near a wall."""
-    near = np.zeros(len(xy), np.bool_)
-    for x0, y0, x1, y1 in world.segments:
-        way, off = np.array([x1 - x0, y1 - y0]), xy - (x0, y0)
-        along = np.clip(off @ way / (way @ way), 0.0, 1.0)
-        near |= np.hypot(*(off - along[:, None] * way).T) < within_m
-    return near
 
 
 def seen_walls(ride: Drive, cell_m: float) -> Array:
@@ -194,7 +184,7 @@ def protection(seeds: Sequence[int]) -> Section:
     ride = at_phase(world, 81.0, seed)
     config = learning_config("printed", False)
     xy = grid(WALKED_M, config.cell_m)
-    at = xy[~near_walls(world, xy, 0.25)] - offset_m(ride)
+    at = xy[off_walls_m(xy, world.segments) >= 0.25] - offset_m(ride)
     tracks = at[read(learn(ride, config), at)[:, 0] > 0.5]
     rows = []
     for count in (100, 500, 1000):

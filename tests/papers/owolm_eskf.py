@@ -10,10 +10,12 @@ from unittest.mock import patch
 import numpy as np
 import numpy.typing as npt
 
+from service.geometry.poses import points_from
 from service.mapper.filters.deskew import BeamsConfig
 from service.mapper.papers.owolm_eskf import across_walls
 from service.mapper.papers.owolm_eskf.orthogonal_map import OrthogonalMap, OrthogonalMapConfig
 from service.mapper.profiles import mapping_config
+from service.offline.score.score import align
 from simulators.worlds.corridors import corridor100
 from simulators.worlds.library import library
 from tests.papers.library_survey import library_check_points, library_structure
@@ -21,7 +23,18 @@ from tests.papers.owolm_pictures import draw_maps, draw_overlay, draw_segments
 from tests.papers.recorded import error_row, rescored, scored
 from tests.papers.report import Row, Section, seeds_text
 from tests.papers.true_poses import true_scans
-from tests.simulated import UTM30LX_40HZ, Drive, Imu, Run, Wheels, begun_beside, drive, phase_m, run
+from tests.simulated import (
+    UTM30LX_40HZ,
+    Drive,
+    Imu,
+    Run,
+    Wheels,
+    begun_beside,
+    drive,
+    off_walls_m,
+    phase_m,
+    run,
+)
 
 Array = npt.NDArray[np.float64]
 FAR_M = 0.05
@@ -198,7 +211,7 @@ def _limits(seeds: Sequence[int]) -> Section:
         if on_csail is not None:
             lost.append(f"| {cells} cells | {100.0 * on_csail.lost_share:.1f} % | {on_csail.error_m:.3f} m |")
     points, match = next(true_scans(ride, BeamsConfig()))
-    xy_m = _turned_by(points.xy_base, match.motion.pose_odom_base.theta_rad)
+    xy_m = points_from(np.array([0.0, 0.0, match.motion.pose_odom_base.theta_rad]), points.xy_base)
     local_map = OrthogonalMap(OrthogonalMapConfig())
     picture = draw_segments(xy_m, local_map.segments(xy_m, local_map.gaps(points)))
     return Section(
@@ -327,14 +340,7 @@ def _map_of(what: Run) -> OrthogonalMap:
 
 def far_share(xy: Array, likelihood: Array) -> float:
     """Share of the mass of a map that lies farther than FAR_M from the structure."""
-    nearest_m = np.full(len(xy), np.inf)
-    for x0, y0, x1, y1 in library_structure():
-        low, high = np.minimum((x0, y0), (x1, y1)) - FAR_M, np.maximum((x0, y0), (x1, y1)) + FAR_M
-        near = np.flatnonzero(((xy >= low) & (xy <= high)).all(axis=1))
-        way, off = np.array([x1 - x0, y1 - y0]), xy[near] - (x0, y0)
-        along = np.clip(off @ way / (way @ way), 0.0, 1.0)
-        nearest_m[near] = np.minimum(nearest_m[near], np.hypot(*(off - along[:, None] * way).T))
-    return float(likelihood[nearest_m > FAR_M].sum() / likelihood.sum())
+    return float(likelihood[off_walls_m(xy, library_structure()) > FAR_M].sum() / likelihood.sum())
 
 
 def _aligned(what: Run, ride: Drive) -> Aligned:
@@ -347,12 +353,8 @@ def _fitted(xy: Array, likelihood: Array) -> Aligned:
     true = library_check_points()
     read = np.array([_corner(xy, likelihood, point) for point in true])
     seen = np.isfinite(read).all(axis=1)
-    middle, to = read[seen].mean(axis=0), true[seen].mean(axis=0)
-    a, b = read[seen] - middle, true[seen] - to
-    turn = math.atan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
-    return Aligned(
-        _turned_by(xy - middle, turn) + to, likelihood, _turned_by(read - middle, turn) + to - true
-    )
+    motion = align(read[seen], true[seen])
+    return Aligned(points_from(motion, xy), likelihood, points_from(motion, read) - true)
 
 
 def _medians_cm(maps: Sequence[Aligned]) -> list[float]:
@@ -361,12 +363,6 @@ def _medians_cm(maps: Sequence[Aligned]) -> list[float]:
 
 def _rms_cm(maps: Sequence[Aligned]) -> list[float]:
     return [100.0 * math.sqrt(float(np.nanmean(aligned.residuals_m**2))) for aligned in maps]
-
-
-def _turned_by(xy: Array, turn_rad: float) -> Array:
-    c, s = math.cos(turn_rad), math.sin(turn_rad)
-    turned: Array = xy @ np.array([[c, s], [-s, c]])
-    return turned
 
 
 def _corner(xy: Array, likelihood: Array, point: Array) -> Array:

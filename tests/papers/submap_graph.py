@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 
 from drivers.frames import LaserScan
+from service.geometry.poses import points_from
 from service.geometry.se2 import SE2
 from service.mapper.background import InlineWorker
 from service.mapper.corrections import corrected
 from service.mapper.papers.submap_graph.graph.landmark_back_end import LandmarkBackEnd
 from service.mapper.profiles import build_mapper, mapping_config
+from service.offline.score.score import align
 from simulators.world import World
 from simulators.worlds.floor import floor
 from simulators.worlds.mall import mall
@@ -289,7 +291,7 @@ def run(
     by_stamp = {output.stamp_ns: pose for output, pose in zip(outputs, poses, strict=True)}
     found, truth = check_points(what, by_stamp)
     return Mapped(
-        float(np.hypot(*(fitted(found, truth) - truth).T).max()),
+        float(np.hypot(*(points_from(align(found, truth), found) - truth).T).max()),
         float(np.abs(between_all(found) - between_all(truth)).max()),
         1000.0 * took_s / len(outputs),
         by_stamp,
@@ -326,15 +328,6 @@ def check_points(what: Drive, poses: Mapping[int, SE2]) -> tuple[np.ndarray, np.
 def between_all(xy: np.ndarray) -> np.ndarray:
     distances_m: np.ndarray = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1))
     return distances_m
-
-
-def fitted(xy: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Turned and moved, never stretched, to lie best on the truth."""
-    a, b = xy - xy.mean(axis=0), truth - truth.mean(axis=0)
-    turn = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
-    c, s = np.cos(turn), np.sin(turn)
-    aligned: np.ndarray = a @ np.array([[c, s], [-s, c]]) + truth.mean(axis=0)
-    return aligned
 
 
 SCENARIOS = {
