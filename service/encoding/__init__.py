@@ -17,7 +17,9 @@ from service.encoding.frames import (
     NO_COVARIANCE,
     NO_ROTATION,
     decode_frame,
+    decode_raw,
     encode_frame,
+    encode_raw,
     frame_id,
     odometry_fault,
     scan_fault,
@@ -56,7 +58,6 @@ from service.encoding.outputs import (
     encode_tile,
     tile_channel,
 )
-from service.encoding.raw import decode_raw, encode_raw
 from service.encoding.steps import APPLY_RESULT, decode_step
 from service.encoding.wire import (
     BASE_FRAME,

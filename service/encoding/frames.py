@@ -4,12 +4,13 @@ import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TypeVar, cast
+from typing import TypeVar, cast, get_args
 
 import numpy as np
 
 from drivers.counted import counted
 from drivers.frames import NO_INTENSITY, Frame, GnssFix, ImuSample, LaserScan, OdometrySample, causes_of
+from drivers.link import ChunkKind, RawChunk
 from service.encoding import quick, wire
 from service.encoding import ros_messages as ros
 from service.encoding.wire import Message
@@ -34,6 +35,7 @@ AnyFrame = TypeVar("AnyFrame", bound=Frame | None)
 _NAN = np.float32(np.nan)
 _NO_RETURN = np.float32(np.inf)  # REP 117: beyond the range of the sensor
 _SMALLEST_RANGE_M = float(np.finfo(np.float32).tiny)
+KINDS: tuple[ChunkKind, ...] = get_args(ChunkKind)
 
 
 def encode_frame(frame: Frame, utc_offset_ns: int = 0, log_ns: int | None = None) -> Message:
@@ -379,3 +381,27 @@ _FRAME_DECODERS: dict[str, Callable[[object, str, int], Frame | None]] = {
     wire.ODOMETRY: _odometry_frame,
     wire.NAV_SAT_FIX: _fix_frame,
 }
+
+
+def encode_raw(sensor: str, chunk: RawChunk, utc_offset_ns: int) -> Message:
+    """The chunk's bytes; what kind it is stands as label of the array's one dimension.
+
+    Stamp and log time are the chunk's own to the nanosecond: drivers reckon with it.
+    """
+    at_ns = chunk.at_ns + utc_offset_ns
+    size = len(chunk.data)
+    layout = ros.std_msgs__msg__MultiArrayLayout(
+        [ros.std_msgs__msg__MultiArrayDimension(chunk.kind, size, size)], data_offset=0
+    )
+    content = ros.std_msgs__msg__UInt8MultiArray(layout, np.frombuffer(chunk.data, dtype=np.uint8))
+    return wire.to_message(f"{sensor}/raw", wire.BYTES, at_ns, at_ns, content)
+
+
+def decode_raw(payload: bytes, log_ns: int, utc_offset_ns: int) -> RawChunk:
+    """Raises InputError."""
+    m = cast(ros.std_msgs__msg__UInt8MultiArray, wire.read(wire.BYTES, payload))
+    label = m.layout.dim[0].label if m.layout.dim else ""
+    kind = next((kind for kind in KINDS if kind == label), None)
+    if kind is None:
+        raise InputError(f"raw bytes labelled {label!r}; expected {', '.join(KINDS)}")
+    return RawChunk(log_ns - utc_offset_ns, kind, m.data.tobytes())

@@ -1,8 +1,10 @@
 """Opens the Zenoh session; an error names the reason."""
 
 import json
+import os
 import re
 import socket
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,6 @@ from drivers.zenoh_config import zenoh_config
 from service.errors import StorageError
 from service.publishing.config import PublishingConfig
 from service.publishing.keys import ROOT
-from service.publishing.own_sockets import own_internet_sockets
 from service.publishing.security import access_control, link_settings
 
 # Batches a link and priority. With Zenoh's own 2 a burst of scan, pose, odom and tf loses one now and then.
@@ -144,3 +145,17 @@ def _owner_of_port(port: int) -> str:
         except OSError:
             continue  # gone meanwhile, or another user's
     return " by another user's process" if sockets else ""
+
+
+def own_internet_sockets() -> Iterator[socket.socket]:
+    """Each TCP socket, open until the next is asked for; it is the library's own, by another descriptor."""
+    for descriptor in Path("/proc/self/fd").glob("*"):
+        try:
+            if not str(descriptor.readlink()).startswith("socket:"):
+                continue
+            one = socket.socket(fileno=os.dup(int(descriptor.name)))
+        except OSError:
+            continue  # closed meanwhile
+        with one:
+            if one.family in (socket.AF_INET, socket.AF_INET6) and one.type == socket.SOCK_STREAM:
+                yield one

@@ -12,8 +12,8 @@ from drivers.zenoh_config import zenoh_config
 from service.errors import StorageError
 from service.publishing.config import PublishingConfig
 from service.publishing.keys import ROOT, alive_key
-from service.publishing.own_sockets import own_internet_sockets
 from service.publishing.security import link_settings
+from service.publishing.session import own_internet_sockets
 
 CONNECT_MS = 3000  # for one try
 RETRY_MS = (500, 30_000)  # first and longest pause between two tries: a site's router begins with all at once

@@ -2,20 +2,33 @@
 nav_msgs/Odometry.
 """
 
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from drivers.frames import OdometrySample
-from service.encoding import ODOMETRY, TF, Message, Transform, decode_transforms, encode_frame
+from service.encoding import (
+    BASE_FRAME,
+    ODOM_FRAME,
+    ODOMETRY,
+    TF,
+    Message,
+    Transform,
+    decode_transforms,
+    encode_frame,
+)
 from service.errors import InputError
 from service.recording.choice import Choice
-from service.recording.frames import is_base, is_odometry, robot_of
 from service.recording.mcap_reader import Readable, Topic
 from service.recording.mountings import place_of
 
 ODOM_OF_TF = "/tf/odom"  # the topic that it is given out as; no recording can have it besides /tf
 Edge = tuple[str, str]  # frame above, frame below
+BASE_FRAMES = (BASE_FRAME, "base_footprint")
+ODOM_FRAMES = (ODOM_FRAME, "odom_combined")
+_BASE = re.compile(rf"(?P<robot>|.*[/_])({'|'.join(BASE_FRAMES)})")
+_ODOMETRY = re.compile(rf"(|.*[/_])({'|'.join(ODOM_FRAMES)})")
 
 
 class WithOdometryOfTf:
@@ -124,3 +137,19 @@ def _transforms(tf: Message) -> Sequence[Transform]:
         return decode_transforms(tf.payload)
     except InputError:
         return ()
+
+
+def is_odometry(frame: str) -> bool:
+    """Whether it is the name of an odometry's frame: odom, robot1/odom, robot1_odom."""
+    return _ODOMETRY.fullmatch(frame) is not None
+
+
+def is_base(frame: str) -> bool:
+    """Whether it is the name of a base: base_link, robot1/base_footprint, robot1_base_link."""
+    return _BASE.fullmatch(frame) is not None
+
+
+def robot_of(frame: str) -> str:
+    """ "robot1/" of "robot1/base_link", "robot1_" of "robot1_base_link"; of others what is before a /."""
+    match = _BASE.fullmatch(frame)
+    return match["robot"] if match else frame[: frame.rfind("/") + 1]

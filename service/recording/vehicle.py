@@ -21,7 +21,6 @@ from service.encoding import (
 from service.errors import InputError, UsageError
 from service.geometry.se2 import SE2
 from service.recording.choice import Choice
-from service.recording.frames import BASE_FRAMES, is_base, robot_of
 from service.recording.mcap_reader import Readable, Topic
 from service.recording.mountings import (
     Mounting,
@@ -42,7 +41,15 @@ from service.recording.sources import (
     named_topic,
     sources_of,
 )
-from service.recording.tf_odometry import Edges, WithOdometryOfTf, edges_of, odometry_edge
+from service.recording.tf_odometry import (
+    BASE_FRAMES,
+    Edges,
+    WithOdometryOfTf,
+    edges_of,
+    is_base,
+    odometry_edge,
+    robot_of,
+)
 
 Converter = Callable[[bytes, str, int], LaserScan | None]  # of a payload, a sensor's name and a log time, ns
 

@@ -40,10 +40,9 @@ from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.metrics import LatencyHistogram
 from service.runtime.notify import Notifier
 from service.runtime.profile_switch import PresentMapping, ProfileSwitch
-from service.runtime.readers import Readers
+from service.runtime.readers import Readers, Workers
 from service.runtime.resume import Point, PointWriter, point_file, resumed
 from service.runtime.summary import RunningStatus, Summary, running_status
-from service.runtime.workers import Workers
 from service.sinks.fan_out import CLOSE_S, FLUSH_S, Sinks
 from service.sinks.registry import SINKS
 from service.sinks.sink import SinkContext

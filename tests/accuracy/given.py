@@ -16,8 +16,14 @@ from service.offline.replay.replay import Replay
 from service.offline.score.score import RelationErrors, read_relations
 from service.offline.score.trajectory import Trajectory, read_tum, write_tum
 from tests.accuracy.driving import nees_of, poses_of
-from tests.accuracy.recorded import WithoutOdometry, rewrite
-from tests.accuracy.scored import against_relations, against_truth, lost_percent, mapped
+from tests.accuracy.recorded import (
+    WithoutOdometry,
+    against_relations,
+    against_truth,
+    lost_percent,
+    mapped,
+    rewrite,
+)
 from tests.papers.report import Row, Section
 from tests.recorded_drive import frames_of
 from tests.shared_data import SHARED

@@ -1,9 +1,10 @@
 """Freiburg 079 against its official relations: as recorded, and with odometry spoilt or scans missing."""
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,9 +15,16 @@ from drivers.frames import OdometrySample
 from service.encoding import LASER_SCAN, ODOMETRY, decode_frame, encode_frame
 from service.geometry.poses import between, compose
 from service.geometry.se2 import SE2
-from service.offline.score.score import NEAR_NS, read_relations
+from service.offline.replay.replay import Replay, ReplayOptions, replay, write_replay
+from service.offline.score.score import (
+    NEAR_NS,
+    RelationErrors,
+    RelationsScore,
+    TrajectoryScore,
+    read_relations,
+    score,
+)
 from service.offline.score.trajectory import read_tum
-from tests.accuracy.scored import against_relations, mapped
 from tests.papers.report import Row, Section
 from tests.shared_data import SHARED
 
@@ -150,3 +158,30 @@ def _rows(
         Row(what, [error_m], "m", at_most=most_m, digits=4),
         Row(what, [error_deg], "deg", at_most=most_deg),
     ]
+
+
+def mapped(recording: Path, out: Path, settings: Mapping[str, Any] | None = None) -> Replay:
+    """Its result is in `out`. settings: other values of some keys, by box."""
+    done = replay([recording], ReplayOptions(mapping={"settings": settings} if settings else {}))
+    write_replay(done, out)
+    return done
+
+
+def lost_percent(done: Replay) -> float:
+    """Of the scans."""
+    return 100.0 * sum(output.state == "lost" for output in done.outputs) / len(done.outputs)
+
+
+def against_truth(estimate: Path, truth: Path) -> TrajectoryScore:
+    found = score(estimate, truth)
+    assert isinstance(found, TrajectoryScore)
+    return found
+
+
+def against_relations(
+    estimate: Path, relations: Path, shift_s: float = 0.0, offset_x_m: float = 0.0
+) -> RelationErrors:
+    """In Kuemmerle's order, expected^-1 * relative."""
+    found = score(estimate, relations, shift_s, offset_x_m)
+    assert isinstance(found, RelationsScore)
+    return found.errors[0]

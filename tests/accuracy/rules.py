@@ -20,7 +20,7 @@ from service.mapper.scan_match.submaps import Submap
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Errors, Trip, default_with
 from tests.accuracy.given import error_mm, recording_of
-from tests.accuracy.scored import mapped
+from tests.accuracy.recorded import mapped
 from tests.accuracy.sensors import LMS100_10HZ, MIRRORS, WRONG
 from tests.papers.report import Section
 from tests.shared_data import SHARED

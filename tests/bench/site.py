@@ -27,8 +27,7 @@ from service.offline.score.trajectory import read_tum, write_tum
 from service.offline.site.build import site_build
 from service.offline.site.paths import PATHS
 from service.recording.mcap_source import open_session
-from tests.accuracy.recorded import rewrite
-from tests.accuracy.scored import against_relations, mapped
+from tests.accuracy.recorded import against_relations, mapped, rewrite
 from tests.bench import large_site
 from tests.bench.site_drives import ELSEWHERE, SEEDS, record_drive
 from tests.shared_data import SHARED

@@ -40,8 +40,7 @@ from service.recording.mcap_recovery import recover
 from service.web.protocol import RequestError, read_request
 from tests.drivers import irobot_bench, lms100, lux, mtig, utm30lx
 from tests.service.conversion.messages import cloud
-from tests.service.mapstore.graphs import graph_of
-from tests.service.mapstore.tile_makers import tile
+from tests.service.mapstore.tile_makers import graph_of, tile
 from tests.service.recording.sessions import drive, write_file
 
 STEP_NS = 1_000_000

@@ -10,7 +10,7 @@ from typing import Any
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.offline.score.score import RelationsScore, score
 from tests.accuracy.given import recording_of, truth_of
-from tests.accuracy.scored import lost_percent
+from tests.accuracy.recorded import lost_percent
 from tests.papers.report import Row
 
 BUILDINGS = ("fr079", "intel", "csail", "aces")

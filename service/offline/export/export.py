@@ -15,8 +15,14 @@ from service.mapstore.picture import Picture, picture_of_grid
 from service.mapstore.png import write_png
 from service.mapstore.ros_map import write_ros_map
 from service.offline.export.drawings import write_dxf, write_pcd, write_ply, write_svg
-from service.offline.export.geo_export import Poses, write_csv, write_geojson, write_kml, write_world_file
-from service.offline.export.geotiff import write_geotiff
+from service.offline.export.geo_export import (
+    Poses,
+    write_csv,
+    write_geojson,
+    write_geotiff,
+    write_kml,
+    write_world_file,
+)
 from service.offline.export.outlines import outlines
 from service.offline.importing.session_file import refuse_to_overwrite
 from service.offline.past.result import GRAPH_FILE, is_ros_map, open_result

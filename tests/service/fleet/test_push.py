@@ -12,8 +12,7 @@ from service.mapstore.files import load_map, save_map
 from service.mapstore.manifest import MANIFEST
 from service.sinks.fleet_files import MAPS
 from tests.service.cli.test_commands import code_of
-from tests.service.mapstore.graphs import graph_of
-from tests.service.mapstore.tile_makers import tile
+from tests.service.mapstore.tile_makers import graph_of, tile
 from tests.service.runtime.test_commands import Machine
 from tests.waiting import wait_until
 

@@ -11,7 +11,7 @@ from service.mapper.components import AreaToErase, ScanToRender, WallToRender
 from service.mapper.drawn_by_hand import among_scans, walls_of
 from service.mapper.maps.occupancy import cells_of_wall
 from service.mapper.saved_graph import SavedGraphError
-from tests.service.mapstore.graphs import graph_of
+from tests.service.mapstore.tile_makers import graph_of
 
 POSES = np.array([(0.0, 0.0, 0.0), (5.0, 0.0, 1.0), (10.0, 0.0, -2.0), (15.0, 0.0, 0.5)])
 LINE = np.array([(9.0, 2.0), (11.0, 2.0)])

@@ -20,7 +20,7 @@ from service.mapper.profiles import BeginIn, build_mapper, mapping_config
 from service.mapper.saved_graph import SavedGraphError
 from service.outputs import MapperOutput, TileUpdate
 from tests.service.mapper.offices import COARSE, mapped_office, outputs_at_once, through
-from tests.service.mapstore.graphs import graph_of
+from tests.service.mapstore.tile_makers import graph_of
 from tests.simulated import FORWARD, Drive
 
 LATER_S, SECONDS = 12.0, 10.0

@@ -5,8 +5,7 @@ import pytest
 from service.errors import InputError
 from service.mapstore.edits import Edit, undone_by
 from service.mapstore.files import load_map, restore_version, save_map, versions_of
-from tests.service.mapstore.graphs import graph_of
-from tests.service.mapstore.tile_makers import same, tile
+from tests.service.mapstore.tile_makers import graph_of, same, tile
 
 
 def edited(folder, value: int, before: int) -> None:

@@ -18,8 +18,7 @@ from service.mapstore.files import (
 from service.mapstore.geo_file import read_geo
 from service.mapstore.manifest import FORMAT, digest_of
 from service.mapstore.ros_map import read_ros_map
-from tests.service.mapstore.graphs import graph_of
-from tests.service.mapstore.tile_makers import GEO, same, tile
+from tests.service.mapstore.tile_makers import GEO, graph_of, same, tile
 
 
 class Killed(BaseException):

@@ -5,8 +5,7 @@ from service.errors import InputError
 from service.mapper.profiles import mapping_config
 from service.mapstore.begin_in import begin_in
 from service.mapstore.files import load_map, save_map
-from tests.service.mapstore.graphs import graph_of
-from tests.service.mapstore.tile_makers import tile
+from tests.service.mapstore.tile_makers import graph_of, tile
 
 TILES = [tile(0, 0, 3), tile(-1, 2, 4)]
 

@@ -26,7 +26,7 @@ from service.runtime.mapping_outputs import MappingOutputs
 from service.runtime.profile_switch import PresentMapping, ProfileSwitch
 from service.sinks.map_saver import MapSaver
 from service.sinks.mcap_sink import McapSink
-from tests.service.mapstore.graphs import graph_of
+from tests.service.mapstore.tile_makers import graph_of
 from tests.service.runtime.inline_link import InlineLink
 from tests.service.runtime.mapping_runs import OFFSET_NS, FakeMapper, scan
 from tests.service.sinks.contexts import sink_context

@@ -16,7 +16,7 @@ from service.mapstore.in_use import InUse
 from service.recording.mcap_reader import Recording
 from service.sinks.map_saver import MAX_ASKED
 from tests.in_background import started
-from tests.service.mapstore.graphs import graph_of
+from tests.service.mapstore.tile_makers import graph_of
 from tests.service.recording.sessions import events_of
 from tests.service.runtime.machine import Machine, channels
 from tests.service.sinks.test_map_saver import tile

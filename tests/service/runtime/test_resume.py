@@ -9,8 +9,7 @@ from service.config import ServiceConfig, parse_config
 from service.mapstore.files import save_map
 from service.runtime import resume
 from service.runtime.resume import Point, PointWriter, point_file, resumed
-from tests.service.mapstore.graphs import graph_of
-from tests.service.mapstore.tile_makers import tile
+from tests.service.mapstore.tile_makers import graph_of, tile
 from tests.waiting import wait_until
 
 CONFIG = """

@@ -33,7 +33,7 @@ from service.runtime.readers import Readers
 from service.runtime.service import Service
 from service.sinks.registry import SinkKind
 from service.sinks.sink import Sink, SinkContext
-from tests.service.mapstore.graphs import graph_of
+from tests.service.mapstore.tile_makers import graph_of
 from tests.service.recording.sessions import events_of
 from tests.service.runtime.mappers import FATAL_RANGE_M, LOADED
 from tests.service.runtime.mapping_runs import scan

@@ -2,7 +2,7 @@ import threading
 
 import pytest
 
-from service.runtime.workers import Workers
+from service.runtime.readers import Workers
 
 
 def test_a_failing_thread_is_reported_at_once_and_named(caplog: pytest.LogCaptureFixture):

@@ -19,8 +19,7 @@ from service.outputs import TileUpdate
 from service.publishing.commands import Answer
 from service.sinks.map_saver import MAX_ASKED, MapSaver
 from service.sinks.sink import SavedMap
-from tests.service.mapstore.graphs import graph_of
-from tests.service.mapstore.tile_makers import GEO
+from tests.service.mapstore.tile_makers import GEO, graph_of
 from tests.service.sinks.contexts import sink_context
 from tests.waiting import wait_until
 

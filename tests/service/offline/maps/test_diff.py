@@ -13,8 +13,7 @@ from service.mapstore.difference import COLOURS, WALL_GONE, WALL_NEW, Difference
 from service.mapstore.files import save_map
 from service.offline.maps.diff import map_diff
 from service.outputs import TileUpdate
-from tests.service.mapstore.graphs import graph_of
-from tests.service.mapstore.tile_makers import CELL_M, EDGE, tile
+from tests.service.mapstore.tile_makers import CELL_M, EDGE, graph_of, tile
 
 
 def changed(one: TileUpdate, *cells: tuple[int, int, int]) -> TileUpdate:

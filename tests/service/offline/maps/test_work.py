@@ -6,8 +6,7 @@ from service.cli import main
 from service.errors import InputError
 from service.mapstore.files import save_map
 from service.offline.maps.work import map_info, map_merge, map_verify
-from tests.service.mapstore.graphs import graph_of
-from tests.service.mapstore.tile_makers import tile
+from tests.service.mapstore.tile_makers import graph_of, tile
 
 TILES = [tile(0, 0, 3), tile(-1, 2, 4)]
 

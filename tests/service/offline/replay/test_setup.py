@@ -15,7 +15,7 @@ from service.offline.replay.setup import ReplayOptions, overlay, set_up
 from service.outputs import TileUpdate
 from service.recording.mcap_recorder import McapRecorder
 from service.recording.mcap_source import Session, open_session
-from tests.service.mapstore.graphs import graph_of
+from tests.service.mapstore.tile_makers import graph_of
 from tests.service.recording.sessions import drive
 
 CONFIG = """\

@@ -9,7 +9,7 @@ from service.mapstore.files import save_map
 from service.offline.setup import config_here
 from service.offline.setup.config_here import faults_here, known_addresses
 from service.outputs import TileUpdate
-from tests.service.mapstore.graphs import graph_of
+from tests.service.mapstore.tile_makers import graph_of
 
 
 def config_of(sensors: str, load: Path | None = None) -> ServiceConfig:

@@ -4,7 +4,7 @@ import numpy as np
 
 from service.mapper.graph.model.graph_picture import MAX_DRAWN, draw, draw_saved, stretches
 from service.mapper.loop_evidence import RefusedLoops
-from tests.service.mapstore.graphs import graph_of
+from tests.service.mapstore.tile_makers import graph_of
 
 NONE = np.empty((0, 2), np.int64)
 
