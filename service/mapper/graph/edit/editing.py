@@ -76,9 +76,11 @@ def only(graph: SavedGraph, is_kept: npt.NDArray[np.bool_]) -> SavedGraph:
     """The graph of some key frames, (N,), with the loops and edits between them."""
     number = np.cumsum(is_kept) - 1
     loops_kept = is_kept[graph.loop_ends].all(axis=1)
-    points_kept = np.repeat(is_kept, graph.point_count)
     loops = graph.of_loops(loops_kept)
     loops["loop_ends"] = number[loops["loop_ends"]]
+    count = graph.point_count[is_kept]
+    before = (np.cumsum(graph.point_count) - graph.point_count)[is_kept] - (np.cumsum(count) - count)
+    points_kept = np.repeat(before, count) + np.arange(count.sum())  # a member of a site has few of them
     return replace(
         graph,
         **graph.of_keyframes(is_kept),
