@@ -1,9 +1,12 @@
 """What is done of a site in parallel: where a session lies in it, and the loops between two sessions."""
 
+import threading
 from bisect import bisect_right
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
+
+import numpy as np
 
 from service.mapper.graph.edit.merging import (
     MIN_MERGE_LOOPS,
@@ -13,11 +16,32 @@ from service.mapper.graph.edit.merging import (
     together,
 )
 from service.mapper.graph.loops.loop_back_end import LoopBackEnd
-from service.mapper.graph.model.keyframe_list import LoopsConfig
+from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import Loop
+from service.mapper.graph.relocalise.known_map import KnownMap
 from service.mapper.saved_graph import SavedGraph, from_arrays, packed_points, small_arrays
 from service.mapstore.arrays import read_arrays, write_arrays
 from service.offline.cluster.tasks import Done
+
+
+class _Searched(threading.local):
+    """The map of the site that this thread searched last: of all sessions of a round it is the same, and what
+    it costs to build grows with the site.
+    """
+
+    sites: tuple[Path, ...] = ()
+    known_map: KnownMap | None = None
+
+    def map_of(self, sites: tuple[Path, ...], both: SavedGraph, count: int) -> KnownMap:
+        """Of the first `count` key frames, which the files `sites` hold."""
+        if self.known_map is None or self.sites != sites:
+            keyframes = KeyframeList(both)
+            self.known_map = KnownMap(keyframes, np.flatnonzero(keyframes.is_usable[:count]))
+            self.sites = sites
+        return self.known_map
+
+
+_searched = _Searched()
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +68,8 @@ class Find(_OfSession):
     def work(self) -> Done:
         try:
             both, begins = self.graphs()
-            pose, _ = find_second(both, begins[-1], LoopsConfig(), MIN_MERGE_LOOPS)
+            known_map = _searched.map_of(self.sites, both, begins[-1])
+            pose, _ = find_second(both, begins[-1], LoopsConfig(), MIN_MERGE_LOOPS, known_map)
         except MergeError as error:
             return Done({"why": str(error)}, {})
         return Done({"pose_first_second": pose.tolist()}, {})
@@ -58,6 +83,7 @@ class FindLoops(_OfSession):
     """
 
     def work(self) -> Done:
+        _searched.known_map = None  # 0.2 GB of a large site, which loops are searched without
         whole, begins = self.graphs()
         back_end = LoopBackEnd(LoopsConfig(search_every_m=QUERY_EVERY_M), None, whole)
         back_end.begin_session_at(begins[-1], is_across=True)

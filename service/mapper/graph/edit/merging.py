@@ -14,6 +14,7 @@ from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd, Result
 from service.mapper.graph.model.keyframe_list import KeyframeList, LoopsConfig
 from service.mapper.graph.model.loops import Loop
 from service.mapper.graph.relocalise.detached_search import CandidatePose, DetachedSearch
+from service.mapper.graph.relocalise.known_map import KnownMap
 from service.mapper.graph.relocalise.place_search import SAME_PLACE_M, is_same_place, is_same_pose
 from service.mapper.saved_graph import KEYFRAME_ROWS, LOOP_ROWS, SESSION_APART_M, SavedGraph
 
@@ -106,20 +107,25 @@ def together(first: SavedGraph, *others: SavedGraph) -> SavedGraph:
 
 
 def find_second(
-    both: SavedGraph, count: int, config: LoopsConfig, enough: int | None = None
+    both: SavedGraph,
+    count: int,
+    config: LoopsConfig,
+    enough: int | None = None,
+    known_map: KnownMap | None = None,
 ) -> tuple[Floats, int]:
     """Pose (3,) of the second map frame in the first by most query results, and their number.
 
-    count    number of key frames of the first, which precede those of the second
-    enough   end the search when so many results agree and at most half as many disagree, or when the first
-             MAX_PLACES_MISSED queries fail; None: query every place. After a result the next queries search
-             only near the poses that follow from it and its rivals; MAX_PLACES_MISSED that fail there are
-             repeated on the entire map
+    count       number of key frames of the first, which precede those of the second
+    enough      end the search when so many results agree and at most half as many disagree, or when the
+                first MAX_PLACES_MISSED queries fail; None: query every place. After a result the next queries
+                search only near the poses that follow from it and its rivals; MAX_PLACES_MISSED that fail
+                there are repeated on the entire map
+    known_map   of the usable key frames of the first, if there is one; None: it is built
 
     Raises MergeError if fewer than MIN_MERGE_LOOPS agree.
     """
     keyframes = KeyframeList(both)
-    search = DetachedSearch(config, keyframes)
+    search = DetachedSearch(config, keyframes, known_map)
     usable = keyframes.is_usable
     known, own = np.flatnonzero(usable[:count]), count + np.flatnonzero(usable[count:])
     queries = _query_places(keyframes, own)

@@ -79,14 +79,19 @@ class Hypothesis:
 
 
 class DetachedSearch:
-    """Searches the newest segment; keeps the result until a second one confirms it."""
+    """Searches the newest segment; keeps the result until a second one confirms it.
 
-    def __init__(self, config: LoopsConfig, keyframes: KeyframeList) -> None:
+    known_map   search structures of the known map, if they are there; None: built when needed
+    """
+
+    def __init__(
+        self, config: LoopsConfig, keyframes: KeyframeList, known_map: KnownMap | None = None
+    ) -> None:
         self._config = config
         self._keyframes = keyframes
         self.operator_pose = OperatorPose(keyframes)  # searched first
         self._hypothesis: Hypothesis | None = None
-        self._known_map: KnownMap | None = None
+        self._known_map = known_map
         self._is_session_placed = True  # False: the session has no place in the stored map
         self.possible: list[PossiblePlace] = []  # of the newest segment, as in PlaceUpdate
         self._query: SeenCloud | None = None  # of the newest search
