@@ -87,7 +87,7 @@ def test_a_cut_removes_points_and_loops_of_its_time_and_undo_restores_them(
     before = saved(back_end := closed_ring)
     ends = before.loop_ends.tolist()
     assert ends
-    span = {"what": "cut", "from_s": ends[0][1] / 10.0 - 0.2, "to_s": ends[0][1] / 10.0 + 0.2}
+    span = {"what": "cut", "from_s": ends[0][1] / 10.0 - 0.25, "to_s": ends[0][1] / 10.0 + 0.25}
     is_cut = np.abs(np.arange(len(before)) - ends[0][1]) <= 2
     touched = int(is_cut[np.array(ends)].any(axis=1).sum())
     _, answer = edited(back_end, **span, bridge=is_bridged)
