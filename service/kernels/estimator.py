@@ -38,6 +38,7 @@ from service.kernels.tracks import (
     acceleration_of,
     add_to_path,
     bridge_s3,
+    extrapolated_ns,
     gyro_angle_at,
     last_at_or_before,
     mean_twist,
@@ -293,7 +294,7 @@ def odometry_step(state, odometry, last_ns, stamp_ns, change):
     end = odometry.span[1]
     if (
         end - first < 2
-        or odometry.stamp_ns[end - 1] <= last_ns + min(lag_ns, 0)
+        or odometry.stamp_ns[end - 1] + extrapolated_ns(odometry) <= last_ns + min(lag_ns, 0)
         or odometry.stamp_ns[first] > last_ns + lag_ns + np.int64(MAX_SILENT_S * 1e9)
     ):
         state.odometry_used.is_known = False

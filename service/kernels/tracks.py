@@ -15,6 +15,7 @@ SPEED_WINDOW_NS = 50_000_000  # over which odometry gives a speed: encoder ticks
 LAG_WINDOW_NS = 200_000_000  # of the mean speed that a lag of the stamps is multiplied by
 ACCELERATION_NS = 100_000_000  # two such windows give the acceleration of a path
 LONGEST_WINDOW_NS = 500_000_000  # scans farther apart give none
+MAX_EXTRAPOLATED_NS = 375_000_000  # 1.5 periods of 4 Hz: slower sources measure from sample to sample alone
 PATH_POSES = 256
 
 
@@ -44,6 +45,16 @@ def last_at_or_before(track, stamp_ns):
         else:
             high = middle
     return low - 1
+
+
+@inner_kernel
+def extrapolated_ns(track):
+    """Time after the newest sample for which the source counts as measuring: another one is due by then."""
+    newest = track.span[1] - 1
+    period_ns = track.stamp_ns[newest] - track.stamp_ns[newest - 1]
+    if newest - 2 >= track.span[0]:
+        period_ns = max(period_ns, track.stamp_ns[newest - 1] - track.stamp_ns[newest - 2])
+    return min(period_ns + period_ns // 2, MAX_EXTRAPOLATED_NS)
 
 
 @inner_kernel
