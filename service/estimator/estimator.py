@@ -275,13 +275,25 @@ class Estimator:
             return None
         x_m, y_m, turn_rad = step.tolist()
         distance_noise, turn_noise = self.filter["noise"].tolist()
+        newest_ns = int(self._odometry.track.stamp_ns[self._odometry.track.span[1] - 1])
+        beyond_s = (int(self.filter["stamp_ns"]) - newest_ns) * 1e-9
+        begin_s3, end_s3 = (max(s, 0.0) ** 3 / 3.0 for s in (beyond_s - self._elapsed_s, beyond_s))  # [8]
+        density = self._settings.acceleration**2, self._settings.turn_acceleration**2
+        variance_m2 = max(variance_m2 - density[0] * (begin_s3 + end_s3), 0.0)
+        turn_rad2 = max(turn_rad2 - density[1] * (begin_s3 + end_s3), 0.0)
         turn_rad2 *= max(turn_noise, 1.0)
         if has_gyro:
             gyro_rad2 *= max(float(self.filter["gyro_noise"]), 1.0)
             share = turn_rad2 / (turn_rad2 + gyro_rad2)
             turn_rad += share * wrap_angle(gyro_rad - turn_rad)
             turn_rad2 = share * gyro_rad2
-        return OdometryIncrement(SE2(x_m, y_m, turn_rad), variance_m2 * max(distance_noise, 1.0), turn_rad2)
+        return OdometryIncrement(
+            SE2(x_m, y_m, turn_rad),
+            variance_m2 * max(distance_noise, 1.0),
+            turn_rad2,
+            density[0] * end_s3,
+            0.0 if has_gyro else density[1] * end_s3,
+        )
 
     def _deskew(self, beam_time_s: Matrix, xy_raw: Matrix, xy_base: Matrix) -> None:
         tracks = self._odometry.track, self._gyro.track

@@ -29,8 +29,10 @@ class OdometryIncrement(NamedTuple):
     """Odometry increment since the last scan, its rotation fused with the gyro's."""
 
     pose: SE2  # of the base in that of the last scan
-    variance_m2: float  # along each axis
+    variance_m2: float  # along each axis, but for the extrapolation at both ends
     variance_rad2: float
+    end_m2: float = 0.0  # of the extrapolation at its end, which the next increment takes back
+    end_rad2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,11 +76,11 @@ class Prediction(Motion):
         measured_s = sum(part.elapsed_s for part in parts if part.increment is not None)
         increment = None
         if measured_s > 0.5 * elapsed_s:
-            (one, one_m2, one_rad2), (two, two_m2, two_rad2) = (
+            (one, one_m2, one_rad2, _, _), (two, two_m2, two_rad2, *end) = (
                 part.increment or part._increment_by_twist() for part in parts
             )
             way_m2 = one_m2 + two_m2 + one_rad2 * (two.x_m**2 + two.y_m**2)
-            increment = OdometryIncrement(one @ two, way_m2, one_rad2 + two_rad2)
+            increment = OdometryIncrement(one @ two, way_m2, one_rad2 + two_rad2, *end)
         return replace(
             self,
             elapsed_s=elapsed_s,

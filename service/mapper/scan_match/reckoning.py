@@ -29,6 +29,8 @@ class _Step:
     matched: SE2
     variance_m2: float  # of `reckoned`, accumulated
     variance_rad2: float
+    end_m2: float  # as in OdometryIncrement
+    end_rad2: float
     travel_m: float
 
 
@@ -51,7 +53,7 @@ class Reckoning:
     def restart(self, stamp_ns: int, matched: SE2) -> None:
         """Start the comparison here."""
         self._steps.clear()
-        self._steps.append(_Step(stamp_ns, SE2(), matched, 0.0, 0.0, 0.0))
+        self._steps.append(_Step(stamp_ns, SE2(), matched, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def clear(self) -> None:
         self._steps.clear()
@@ -78,6 +80,8 @@ class Reckoning:
             matched,
             last.variance_m2 + step.variance_m2,
             last.variance_rad2 + step.variance_rad2,
+            step.end_m2,
+            step.end_rad2,
             last.travel_m + math.hypot(step.pose.x_m, step.pose.y_m),
         )
         steps.append(newest)
@@ -110,7 +114,8 @@ def by_speed(predicted: Prediction) -> OdometryIncrement:
 
 def _covariance_between(begin: _Step, end: _Step) -> Matrix:
     """(3, 3) of the path by odometry between two steps, base axes."""
-    way_m2, turn_rad2 = end.variance_m2 - begin.variance_m2, end.variance_rad2 - begin.variance_rad2
+    way_m2 = end.variance_m2 - begin.variance_m2 + begin.end_m2 + end.end_m2
+    turn_rad2 = end.variance_rad2 - begin.variance_rad2 + begin.end_rad2 + end.end_rad2
     return np.diag([way_m2, way_m2, turn_rad2])
 
 
@@ -120,8 +125,10 @@ def _conflict(begin: _Step, end: _Step) -> Conflict | None:
     off_m2 = (matched.x_m - reckoned.x_m) ** 2 + (matched.y_m - reckoned.y_m) ** 2
     travel_m = end.travel_m - begin.travel_m
     turn_rad2 = end.variance_rad2 - begin.variance_rad2 + MATCH_SIGMA_RAD**2
+    turn_rad2 += begin.end_rad2 + end.end_rad2
     scale_m = USUAL.odometry_scale_sigma * travel_m
     way_m2 = end.variance_m2 - begin.variance_m2 + scale_m**2 + MATCH_SIGMA_M**2
+    way_m2 += begin.end_m2 + end.end_m2
     way_m2 += turn_rad2 * travel_m**2 / 3.0  # random walk of the heading along the path
     turn_chi2 = wrap_angle(matched.theta_rad - reckoned.theta_rad) ** 2 / turn_rad2
     if off_m2 / way_m2 + turn_chi2 <= CHI2_999_OF_3:

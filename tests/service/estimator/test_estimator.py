@@ -50,7 +50,7 @@ def driven(
 @pytest.mark.parametrize("period_ms", [40, 100, 200])
 def test_odometry_slower_than_the_scans_measures_each_step_until_a_sample_is_missing(period_ms: int) -> None:
     """1 m/s; scans each 20 ms that measure nothing. Between samples it goes on for 1.5 periods."""
-    model, way_m, silent_ms = Estimator(EstimatorConfig()), 0.0, []
+    model, way_m, variance_m2, silent_ms = Estimator(EstimatorConfig()), 0.0, 0.0, []
     for stamp_ms in range(0, 1400, 20):
         if stamp_ms % period_ms == 0 and stamp_ms <= 1000:
             model.add(odometry(stamp_ms, SE2(stamp_ms * 1e-3, 0.0, 0.0)))
@@ -59,12 +59,18 @@ def test_odometry_slower_than_the_scans_measures_each_step_until_a_sample_is_mis
             model.correct(None)
             if increment is not None:
                 way_m += increment.pose.x_m
+                variance_m2 += increment.variance_m2
+                beyond_s = 1e-3 * ((stamp_ms + 5) - min(stamp_ms, 1000) // period_ms * period_ms)
+                assert increment.end_m2 == pytest.approx(
+                    EstimatorConfig().acceleration ** 2 * beyond_s**3 / 3
+                )
             elif stamp_ms > 600:
                 silent_ms.append(stamp_ms)
     silent_from_ms = 1000 + 1.5 * period_ms
     assert silent_ms[0] == pytest.approx(silent_from_ms + 20, abs=20)
     assert silent_ms[-1] == 1380
     assert way_m == pytest.approx((silent_ms[0] - 620) * 1e-3, abs=0.025)
+    assert variance_m2 == pytest.approx(EstimatorConfig().odometry_position_walk ** 2 * way_m, rel=0.1)
 
 
 @pytest.mark.parametrize("speed_mps", [1.0, -0.5])

@@ -25,7 +25,7 @@ def test_two_steps_are_one_over_the_time_of_both() -> None:
     assert both.increment is not None
     assert both.increment.pose == pytest.approx(STEP.pose @ STEP.pose)
     # the heading's error of the first step moves the end of the second
-    assert both.increment[1:] == pytest.approx((2e-4 + 1e-5 * 0.1**2, 2e-5))
+    assert both.increment[1:] == pytest.approx((2e-4 + 1e-5 * 0.1**2, 2e-5, 0.0, 0.0))
 
 
 def test_a_scan_after_one_that_was_matched_keeps_its_prediction() -> None:
