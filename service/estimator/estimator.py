@@ -407,13 +407,25 @@ class Estimator:
                     return True
                 value = (*track.value[last, :2].tolist(), *value[2:])  # without what rounding added
             else:
+                step = poses.between(track.value[last, :3], np.array(value[:3]))
+                hidden = self._still.hidden_motion(sample.stamp_ns, step, self.filter)
                 # The motion while odometry was stuck is unknown.
                 is_dead = self._still.is_stuck or self._still.is_unconfirmed_stop
-                if is_dead or self._has_restarted(sample, last):
+                if is_dead or hidden is not None or self._has_restarted(sample, last):
                     self._begin_odometry()
+                if hidden is not None:
+                    self._catch_up(hidden)
                 self._still = Standstill(has_moved=True)
         self._odometry.append(sample.stamp_ns, value)
         return True
+
+    def _catch_up(self, hidden: Matrix) -> None:
+        """Move the newest pose by a motion (3,) that odometry reports late; it may be off by as much."""
+        state, gap = self.filter, np.outer(hidden, hidden)
+        state["pose"] = poses.compose(state["pose"], hidden)
+        state["path"]["span"] = 0
+        widen_pose(state["covariance"], gap)
+        self._consistent.widen(gap)
 
     def _begin_odometry(self) -> None:
         """Drop odometry's samples: the motion since the last one is unknown."""

@@ -37,6 +37,17 @@ class _ImpossibleStop:
     turn_rad: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Begin:
+    """When odometry began to repeat a pose."""
+
+    stamp_ns: int  # of the first sample with this pose
+    scan_ns: int  # of the last scan
+    pose: npt.NDArray[np.float64]  # (3,) at that scan
+    speed_mps: float  # by odometry, before
+    turn_radps: float
+
+
 @dataclass(slots=True)
 class Standstill:
     """Call `is_uninformative` with each sample that `is_repeated`; another pose begins a new Standstill."""
@@ -46,6 +57,8 @@ class Standstill:
     is_unconfirmed_stop: bool = False  # odometry stopped faster than a vehicle brakes; no scan confirms it
     _is_turning: bool = False  # the heading changes, the position does not
     _since_ns: int | None = None  # stamp of the first repeated sample
+    _newest_ns: int = 0  # stamp of the newest one
+    _begin: _Begin | None = None
     _stop: _ImpossibleStop | None = None  # until a scan confirms it
 
     def is_repeated(
@@ -71,8 +84,10 @@ class Standstill:
         is_scan_missing = stamp_ns - scan_ns > STUCK_NS
         if is_scan_missing and stamp_ns - scan_ns <= MISSED_SCANS * period_s * 1e9:
             return False  # no scan is expected yet
+        self._newest_ns = stamp_ns
         if self._since_ns is None:
             self._since_ns = stamp_ns
+            self._begin = _begin(track, state)
             self._stop = _impossible_stop(stamp_ns, track, state, self._is_turning)
         if is_scan_missing:
             self.is_unconfirmed_stop = self._stop is not None
@@ -86,11 +101,50 @@ class Standstill:
             self.is_stuck = True
         return self.is_stuck or not (self.has_moved or self._is_turning) or self._stop is not None
 
+    def hidden_motion(
+        self, stamp_ns: int, step: npt.NDArray[np.float64], state: np.void
+    ) -> npt.NDArray[np.float64] | None:
+        """(3,) m, m, rad, base axes: motion in this standstill that the scans did not measure; else None.
+
+        stamp_ns   of the sample that ends the standstill
+        step       (3,) to its pose
+        state      as of the last scan
+
+        A driver may repeat a message while the encoder counts on. Then odometry jumps faster than a vehicle
+        starts, about as far as it drives at its speed before; a dead encoder has counted nothing.
+        """
+        begin = self._begin
+        if begin is None:
+            return None
+        jump_m, jump_rad = math.hypot(step[0], step[1]), abs(float(step[2]))
+        start_s, elapsed_s = (stamp_ns - self._newest_ns) * 1e-9, (stamp_ns - begin.stamp_ns) * 1e-9
+        starts = jump_m <= MAX_BRAKING_MPS2 * start_s**2 and jump_rad <= MAX_TURN_BRAKING_RADPS2 * start_s**2
+        way = elapsed_s * (begin.speed_mps + begin.turn_radps)
+        if starts or not 0.5 * way <= jump_m + jump_rad <= 2.0 * way:
+            return None
+        hidden = poses.between(poses.between(begin.pose, state["pose"]), step)
+        apart_s = (abs(begin.stamp_ns - begin.scan_ns) + abs(stamp_ns - int(state["stamp_ns"]))) * 1e-9
+        if 4.0 * apart_s > elapsed_s:  # scans too far apart to tell
+            return None
+        is_hidden = math.hypot(hidden[0], hidden[1]) > STUCK_M + apart_s * begin.speed_mps
+        return hidden if is_hidden or abs(hidden[2]) > STUCK_RAD + apart_s * begin.turn_radps else None
+
     def _is_moving(self, state: np.void) -> bool:
         """Whether the speed at the last scan (that ahead if the heading changes) is significant."""
         variance = np.diag(state["covariance"])[TWIST : TWIST + 3] + np.square(STANDSTILL_SIGMA)
         is_moving = np.square(state["twist"]) > MOVING_SIGMAS**2 * variance
         return bool(is_moving[0] if self._is_turning else is_moving.any())
+
+
+def _begin(track: Track, state: np.void) -> _Begin | None:
+    first, end = track.span.tolist()
+    if end - first < 2:
+        return None
+    before_ns, stamp_ns = track.stamp_ns[end - 2 : end].tolist()
+    x_m, y_m, theta_rad = (track.value[end - 1, :3] - track.value[end - 2, :3]).tolist()
+    elapsed_s = (stamp_ns - before_ns) * 1e-9
+    speed_mps, turn_radps = math.hypot(x_m, y_m) / elapsed_s, abs(wrap_angle(theta_rad)) / elapsed_s
+    return _Begin(stamp_ns, int(state["stamp_ns"]), state["pose"].copy(), speed_mps, turn_radps)
 
 
 def _keeps_speed(stop: _ImpossibleStop, state: np.void) -> bool:

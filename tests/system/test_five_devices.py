@@ -45,8 +45,9 @@ def test_the_demo_maps_to_a_centimetre(demo_run: DemoRun):
     summary = demo_run.summary
     assert summary.keys() == {
         "seconds", "scans", "scans_dropped", "position_rmse_m", "heading_rmse_deg",
-        "latency_ms", "scan_cpu_ms", "rates_hz", "cpu_percent", "void", "session", "map",
+        "latency_ms", "scan_cpu_ms", "rates_hz", "cpu_percent", "void", "session", "map", "failure",
     }  # fmt: skip
+    assert not summary["failure"]
     assert summary["seconds"] >= demo_run.seconds
     assert summary["position_rmse_m"] < (0.03 if demo_run.was_in_time else LOST_M)
     assert summary["heading_rmse_deg"] < (0.3 if demo_run.was_in_time else 180.0)

@@ -141,3 +141,31 @@ def test_an_impossible_stop_without_scans_measures_no_motion(braked_s: float, go
                 assert predicted.pose_odom_base.x_m == pytest.approx(way_m, abs=0.02)
             model.correct(matched(SE2(way_m, 0.0, 0.0), SURE))
             assert not model.fault
+
+
+@pytest.mark.parametrize(
+    ("counts_on", "is_seen", "off_m", "sigma_m"),
+    [
+        pytest.param(True, False, 0.3, 2.0, id="the driver repeats a message, a bare corridor"),
+        pytest.param(True, True, 0.05, 0.05, id="the same, the scans measure the motion"),
+        pytest.param(False, False, 2.3, 0.2, id="a dead encoder, which begins again where it ended"),
+    ],
+)
+def test_what_a_driver_reports_late_is_driven_where_the_scans_do_not_measure_it(
+    counts_on: bool, is_seen: bool, off_m: float, sigma_m: float
+) -> None:
+    """1 m/s; odometry at 5 Hz repeats its pose from 4 to 6 s. In a corridor scans follow the prediction."""
+    model, along = Estimator(EstimatorConfig()), 0.01 if is_seen else 10.0
+    covariance = np.diag([along**2, 1e-6, 1e-8])
+    for stamp_ms in range(0, 6401, 20):
+        way_m = stamp_ms * 1e-3
+        if stamp_ms % 200 == 0:
+            said_m = 4.0 if 4000 <= stamp_ms < 6000 else way_m - (0.0 if counts_on or way_m < 6.0 else 1.8)
+            assert model.add(odometry(stamp_ms, SE2(said_m, 0.0, 0.0)))
+        if stamp_ms % 100 == 0:
+            predicted = model.predict((stamp_ms + 10) * MS)
+            seen = SE2(way_m + 0.01) if is_seen else predicted.pose_odom_base
+            found = model.correct(matched(seen, covariance))
+    assert found.pose_odom_base.x_m == pytest.approx(6.41, abs=off_m)
+    assert bool(np.sqrt(found.covariance[0, 0]) > 0.5) is (counts_on and not is_seen)
+    assert np.sqrt(found.covariance[0, 0]) < 1.5 * sigma_m
