@@ -163,7 +163,7 @@ def path_lengths(step_m, of, to, loop_m, start, length_m):
 
     step_m     (N,)  float64   path length from each pose to the next; the last entry is unused
     of, to     (E,)  int64     poses that a loop joins
-    loop_m     float           cost of a loop, > 0
+    loop_m     float           cost of a loop, 0 or more
     start      int
     length_m   (N,)  float64   out
     Source: Bellman 1958; the chain is relaxed in both directions between two passes over the loops.
