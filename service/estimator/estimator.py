@@ -415,6 +415,13 @@ class Estimator:
                     self._begin_odometry()
                 if hidden is not None:
                     self._catch_up(hidden)
+                    log.warning(
+                        "%s: odometry repeated its pose and now jumps by %.1f m and %.0f deg, of which the "
+                        "scans have not measured %.1f m and %.0f deg; the pose follows. Does its driver "
+                        "repeat the last message?",
+                        sample.sensor, math.hypot(step[0], step[1]), abs(math.degrees(step[2])),
+                        math.hypot(hidden[0], hidden[1]), abs(math.degrees(hidden[2])),
+                    )  # fmt: skip
                 self._still = Standstill(has_moved=True)
         self._odometry.append(sample.stamp_ns, value)
         return True

@@ -178,8 +178,11 @@ def stalled(
     return moved_m, abs(off_m), float(np.sqrt(found.covariance[0, 0]))
 
 
-def test_what_a_driver_reports_late_is_driven_and_may_be_off_by_as_much() -> None:
+def test_what_a_driver_reports_late_is_driven_and_may_be_off_by_as_much(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     moved_m, off_m, sigma_m = stalled()
+    assert "base: odometry repeated its pose and now jumps by 2.0 m and 0 deg" in caplog.text
     assert moved_m > 1.5
     assert off_m < 0.3
     assert 1.5 < sigma_m < 3.0
