@@ -6,7 +6,7 @@ Path here takes one of these, too. What only the local disk can do is done in a 
 
 import hashlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -102,9 +102,9 @@ def copy_here(path: Path, target: Path) -> None:
 
 
 @contextmanager
-def written_to(out: Path) -> Iterator[Path]:
-    """A local folder to write in: `out` itself, or one whose files are moved to the URL `out` at the end.
-    Where the work fails, nothing is moved.
+def written_to(out: Path, remains_in: Callable[[Path], Iterable[Path]]) -> Iterator[Path]:
+    """A local folder to write in: `out` itself, or one whose files are moved to the URL `out` at the end,
+    where those of `remains_in` are removed. Where the work fails, nothing is moved or removed.
 
     Raises StorageError where the store refuses.
     """
@@ -115,8 +115,8 @@ def written_to(out: Path) -> Iterator[Path]:
         yield Path(folder)
         try:
             store = cast(Any, out)
-            if out.exists():
-                store.fs.rm(store.path, recursive=True)
+            for path in remains_in(out):
+                store.fs.rm(cast(Any, path).path, recursive=True)
             store.fs.put(f"{folder}/", f"{store.path}/", recursive=True)
         except Exception as error:  # each store raises its own
             raise StorageError(f"cannot write to {out}: {words_of(error)}") from error

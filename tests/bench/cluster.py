@@ -21,7 +21,8 @@ from moto.server import ThreadedMotoServer
 from service.archive import path_or_url
 from service.offline.cluster.batch import run_batch
 from service.offline.cluster.engines import Cluster, Engine, Processes, in_turn
-from service.offline.cluster.session_task import DONE_FILE, new_tasks
+from service.offline.cluster.session_task import new_tasks
+from service.offline.past.result import DONE_FILE
 from service.offline.replay.replay import ReplayOptions
 from simulators.worlds import WORLDS
 from tests.processes import alive, command_of

@@ -70,6 +70,19 @@ def test_s3_is_source_and_sink_of_the_same_bytes(
     assert "s3://site/none.mcap: no such file or folder" in capfd.readouterr().err
 
 
+def test_a_result_in_a_bucket_replaces_the_earlier_one_there_and_nothing_else(
+    bucket: Path, record_drive: RecordDrive
+):
+    session, out = record_drive("c", scans=10), bucket / "one"
+    kept, stale = out / "drives" / "c.mcap", [out / "report.html", out / "map" / "v000002" / "tiles.npz"]
+    for path in (kept, *stale):
+        path.write_text("of before")
+    assert main(["replay", str(session), "--out", "s3://site/one"]) == 0
+    assert (out / "summary.json").exists()
+    assert kept.read_text() == "of before"
+    assert not any(path.exists() for path in stale)
+
+
 @contextmanager
 def web_server(folder: Path, sends_parts: bool) -> Iterator[str]:
     """The address of a server of the files in a folder."""

@@ -9,14 +9,12 @@ from typing import Any
 from service.archive import fingerprint
 from service.errors import CorridorError, InputError, StorageError, words_of
 from service.offline.cluster.tasks import Done, program_digest
-from service.offline.past.result import SUMMARY_FILE
+from service.offline.past.result import DONE_FILE, SUMMARY_FILE
 from service.offline.replay.replay import replay_to
 from service.offline.replay.result import Extra
 from service.offline.replay.setup import ReplayOptions
 from service.readable import refuse_unreadable
 from service.version import VERSION
-
-DONE_FILE = "done.json"  # written last: a folder that has it is complete
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,7 @@ MAP_FOLDER, UNEDITED = "map", "unedited"
 TRAJECTORY_FILE, GRAPH_FILE, SUMMARY_FILE, ROS_MAP_FILE = (
     "trajectory.tum", "graph.g2o", "summary.json", "map.yaml"
 )  # fmt: skip
+DONE_FILE = "done.json"  # of a task (service.offline.cluster); written last: a folder that has it is complete
 FIRST_VERSION = 1  # of the map, which the replay stored
 
 

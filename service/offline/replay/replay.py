@@ -18,7 +18,7 @@ from service.mapstore.begin_in import begin_in
 from service.offline.replay.figures import Warned, doubts
 from service.offline.replay.pace import Watch
 from service.offline.replay.raw import FROM_RAW, remake_frames
-from service.offline.replay.result import Extra, Replay, write_replay
+from service.offline.replay.result import Extra, Replay, remains_in, write_replay
 from service.offline.replay.run import MAPPING, Progress, ReplayRun
 from service.offline.replay.setup import ReplayOptions, choice_of, set_up
 from service.offline.report import REPORT_FILE, write_report
@@ -65,11 +65,13 @@ def _drive_of(file: Path) -> str:
     return name if number.isdecimal() and name == file.parent.resolve().name else file.name
 
 
-def result_folders(sessions: Sequence[Sequence[Path]], out: Path | None) -> list[Path]:
-    """Folder of each session's result, all different: of one `out` itself, of several folders
+def result_folders(
+    sessions: Sequence[Sequence[Path]], out: Path | None, is_batch: bool = False
+) -> list[Path]:
+    """Folder of each session's result, all different: of one `out` itself, of several and of a batch folders
     below it, named after them; without `out` each to out/replay_<name>.
     """
-    if out is not None and len(sessions) == 1:
+    if out is not None and len(sessions) == 1 and not is_batch:
         return [out]
     folders: list[Path] = []
     for session in sessions:
@@ -165,7 +167,7 @@ def replay_to(
     """Replay one session and write its result to a folder or a URL; its summary. Raises CorridorError."""
     refuse_unwritable_folder(out)
     done = replay(session, options, progress, watch)
-    with written_to(out) as folder:
+    with written_to(out, remains_in) as folder:
         write_replay(done, folder, extras)
         if "report" in extras:
             write_report(folder, folder / REPORT_FILE)

@@ -30,6 +30,7 @@ from service.offline.export.utm import UTM_MAX_LATITUDE_DEG
 from service.offline.importing.session_file import write_messages
 from service.offline.maps.change_file import CHANGES_FILE, write_changes
 from service.offline.past.result import (
+    DONE_FILE,
     FIRST_VERSION,
     GRAPH_FILE,
     MAP_FOLDER,
@@ -83,13 +84,12 @@ def write_replay(done: Replay, out: Path, extras: Collection[Extra] = ()) -> Non
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
+        for path in remains_in(out):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
         stamps = [output.stamp_ns for output in done.outputs]
         live = [encoding.pose_on_wire(output.pose_map_base) for output in done.outputs]
         write_tum(out / "trajectory_live.tum", zip(stamps, live, strict=True))
         write_states(out / STATES_FILE, done.outputs, done.lasers)
-        for name in (GRAPH_FILE, GEO_FILE, "map.pgw", "map.png.aux.xml", RESULT_SESSION, REPORT_FILE):
-            (out / name).unlink(missing_ok=True)
-        shutil.rmtree(out / UNEDITED, ignore_errors=True)
         poses = list(zip(stamps, map(encoding.pose_on_wire, done.poses_map_base), strict=True))
         _write_files(out, poses, picture_of_tiles(done.tiles), done.g2o, done.geo, done.summary)
         write_changes(out / CHANGES_FILE, done.changes)
@@ -98,6 +98,13 @@ def write_replay(done: Replay, out: Path, extras: Collection[Extra] = ()) -> Non
             write_result_session(out / RESULT_SESSION, done)
     except OSError as error:
         raise StorageError(f"cannot write to {out}: {words_of(error)}") from error
+
+
+def remains_in(out: Path) -> list[Path]:
+    """Files and folders of an earlier result in a folder, or at a URL, that not every replay writes anew."""
+    names = [DONE_FILE, GRAPH_FILE, GEO_FILE, "map.pgw", "map.png.aux.xml", CHANGES_FILE, RESULT_SESSION]
+    names += [REPORT_FILE, UNEDITED, *([MAP_FOLDER] if is_map_folder(out / MAP_FOLDER) else [])]
+    return [out / name for name in names if (out / name).exists()]
 
 
 def rewrite_result(folder: Path) -> None:
@@ -159,9 +166,7 @@ def _keep_unedited(out: Path) -> None:
 
 
 def _store_map(done: Replay, folder: Path) -> None:
-    """In the place of one of an earlier replay; none where a session could not go on in it."""
-    if is_map_folder(folder):
-        shutil.rmtree(folder)
+    """None where a session could not go on in it."""
     if done.graph is not None and len(done.graph):
         about = {"profile": str(done.summary["profile"])}
         save_map(folder, done.tiles, done.outputs[-1].stamp_ns, about, done.geo, done.graph)

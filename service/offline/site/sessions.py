@@ -13,8 +13,8 @@ from service.geometry.poses import Floats
 from service.geometry.se2 import SE2
 from service.mapper.saved_graph import SavedGraph
 from service.mapstore.files import load_map, newest_digest
-from service.offline.cluster.session_task import DONE_FILE, is_result_of
-from service.offline.past.result import MAP_FOLDER, SUMMARY_FILE, map_folder
+from service.offline.cluster.session_task import is_result_of
+from service.offline.past.result import DONE_FILE, MAP_FOLDER, SUMMARY_FILE, map_folder
 from service.offline.replay.replay import group_sessions, session_name
 from service.recording.opening import is_recording
 

@@ -14,9 +14,10 @@ from service.cli import main
 from service.errors import CorridorError, InputError, UsageError
 from service.offline.cluster.batch import TABLE_FILE, run_batch
 from service.offline.cluster.engines import MAX_TRIES, Cluster, Engine, Processes, in_turn
-from service.offline.cluster.session_task import DONE_FILE, Task, new_tasks
+from service.offline.cluster.session_task import Task, new_tasks
 from service.offline.cluster.tasks import Done
-from service.offline.replay.replay import ReplayOptions
+from service.offline.past.result import DONE_FILE
+from service.offline.replay.replay import ReplayOptions, replay_to
 from tests.service.offline.cluster.deadly_task import DeadlyTask
 from tests.service.offline.recorded_drives import RecordDrive
 from tests.soaked import in_soak
@@ -90,6 +91,8 @@ def test_what_is_done_is_not_done_again(record_drive: RecordDrive, tmp_path: Pat
     (out / DONE_FILE).write_text("{")
     assert not was_done(ReplayOptions(config=config))
     record_drive(name="w", scans=11).replace(session)
+    assert not was_done(ReplayOptions(config=config))
+    replay_to([session], ReplayOptions(), out)
     assert not was_done(ReplayOptions(config=config))
 
 

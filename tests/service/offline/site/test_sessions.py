@@ -5,7 +5,7 @@ from pathlib import Path
 
 from service.archive import fingerprint
 from service.mapstore.files import save_map
-from service.offline.cluster.session_task import DONE_FILE
+from service.offline.past.result import DONE_FILE
 from service.offline.site.sessions import digest_of, given_sessions
 from tests.service.mapstore.tile_makers import tile
 
