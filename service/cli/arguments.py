@@ -137,8 +137,8 @@ def _add_replay_input(replay: argparse.ArgumentParser) -> None:
     replay.add_argument(
         "--out",
         metavar="DIR",
-        help="trajectories, map and summary go here, to a folder or a URL (several files: a folder each); "
-        "default: out/replay_<name>",
+        help="trajectories, map and summary go here, to a folder or a URL (several files, --jobs or "
+        "--cluster: a folder each); default: out/replay_<name>",
     )
     replay.add_argument(
         "--rate",

@@ -22,7 +22,6 @@ from service.readable import refuse_unreadable
 
 if TYPE_CHECKING:
     from service.offline.cluster.engines import Engine
-    from service.offline.cluster.session_task import Task
     from service.offline.past.past_page import RecordingView
     from service.offline.past.replay_page import ReplayPage
     from service.offline.past.view import View
@@ -34,6 +33,7 @@ log = logging.getLogger(__name__)
 
 def replay(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
+    from service.offline.cluster.batch import run_batch, write_table
     from service.offline.cluster.session_task import new_tasks
     from service.offline.replay.replay import DEFAULT_OUT, group_sessions, replay_all, result_folders
     from service.offline.replay.setup import ReplayOptions, refuse_contradictions
@@ -52,16 +52,21 @@ def replay(parsed: argparse.Namespace) -> int:
     refuse_contradictions(options)
     sessions = group_sessions([path_or_url(one) for one in parsed.files])
     out = None if parsed.out is None else path_or_url(parsed.out)
-    folders = result_folders(sessions, out)
+    is_batch = parsed.jobs is not None or parsed.cluster is not None
+    folders = result_folders(sessions, out, is_batch)
     if out is None:
         where = " and ".join(map(str, folders))
         print(printable(f"results go to {where}; --out names another folder"), file=sys.stderr)
-    if parsed.jobs is not None or parsed.cluster is not None:
+    if is_batch:
         if parsed.web or parsed.paused:
             raise UsageError("--web shows one recording after the other; leave --jobs and --cluster out")
         tasks = new_tasks(sessions, options, folders, parsed.extras, parsed.again)
-        outcomes = _replay_batch(parsed, tasks, out or DEFAULT_OUT)
+        with engine_of(parsed) as engine, progress("mapping") as shown:
+            done = run_batch(tasks, engine, shown)
+        outcomes = [one.outcome for one in done]
         _tell_outcomes([str(session[0]) for session in sessions], outcomes, folders, parsed.json)
+        if (table := write_table(out or DEFAULT_OUT, tasks, done)) is not None:
+            print(f"summaries of all sessions: {table}", file=sys.stderr)
         return next((one.exit_code for one in outcomes if isinstance(one, CorridorError)), 0)
     if parsed.again:
         raise UsageError("--again: without --jobs or --cluster everything is replayed again anyway")
@@ -79,16 +84,6 @@ def replay(parsed: argparse.Namespace) -> int:
                 print(f"{page.address} stays until Ctrl-C", file=sys.stderr, flush=True)
                 threading.Event().wait()
     return failed[0].exit_code if failed else 0
-
-
-def _replay_batch(parsed: argparse.Namespace, tasks: Sequence["Task"], out: Path) -> list["Outcome"]:
-    from service.offline.cluster.batch import run_batch, write_table
-
-    with engine_of(parsed) as engine, progress("mapping") as shown:
-        done = run_batch(tasks, engine, shown)
-    if (table := write_table(out, tasks, done)) is not None:
-        print(f"summaries of all sessions: {table}", file=sys.stderr)
-    return [one.outcome for one in done]
 
 
 @contextmanager

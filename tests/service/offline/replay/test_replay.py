@@ -164,6 +164,7 @@ def test_a_reset_at_the_very_end_leaves_the_map_before_to_be_shown(record_drive:
 def test_each_result_has_a_folder_of_its_own():
     a, b, c = Path("a/v_20261121T101500Z_0001.mcap"), Path("b/v_20261121T101500Z_0001.mcap"), Path("c/x.mcap")
     assert result_folders([[a]], Path("o")) == [Path("o")]
+    assert result_folders([[a]], Path("o"), is_batch=True) == [Path("o/v_20261121T101500Z")]
     assert result_folders([[c]], None) == [Path("out/replay_x")]
     assert result_folders([[a], [c]], Path("o")) == [Path("o/v_20261121T101500Z"), Path("o/x")]
     assert result_folders([[a], [b], [b]], None) == [
