@@ -202,17 +202,18 @@ def offset_of(steps: Floats, min_excess: float = 1.0) -> Offset | None:
     x, y, turn, driven = steps[:, 0], steps[:, 1], steps[:, 2], steps[:, 3:5]
     turned = np.where(np.abs(turn) < MIN_TURN_RAD, 0.0, turn)
     c, s = np.cos(turned), np.sin(turned)
-    # (K, 2, 4) of yaw's cosine and sine and the translation, all over the scale
-    jacobian = np.stack([np.stack([x, -y, 1 - c, s], axis=1), np.stack([y, x, -s, 1 - c], axis=1)], axis=1)
+    # (4, 2 K) of yaw's cosine and sine and the translation, all over the scale
+    jacobian = np.hstack((np.stack((x, -y, 1 - c, s)), np.stack((y, x, -s, 1 - c))))
+    measured = driven.T.ravel()
     path_length_m = np.hypot(driven[:, 0], driven[:, 1])
     weight = 1.0 / (MATCH_M**2 + ODOMETRY_M**2 * path_length_m + (ODOMETRY_M * turn) ** 2)
     counts, excess = np.ones(len(steps)), min_excess
     unknown, covariance = np.zeros(4), np.eye(4)
     for _ in range(4):
-        w = weight * counts / excess
-        covariance = np.linalg.inv(np.einsum("k,kia,kib->ab", w, jacobian, jacobian) + WEAK_PRIOR_INFORMATION)
-        unknown = covariance @ np.einsum("k,kia,ki->a", w, jacobian, driven)
-        chi2 = weight * ((jacobian @ unknown - driven) ** 2).sum(axis=1)
+        weighted = jacobian * np.tile(weight * counts / excess, 2)
+        covariance = np.linalg.inv(weighted @ jacobian.T + WEAK_PRIOR_INFORMATION)
+        unknown = covariance @ (weighted @ measured)
+        chi2 = weight * ((unknown @ jacobian - measured) ** 2).reshape(2, -1).sum(axis=0)
         excess = max(float(np.median(chi2)) / CHI2_MEDIAN_OF_2, min_excess)
         counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
     inverse_scale = math.hypot(unknown[0], unknown[1])

@@ -113,7 +113,8 @@ class LoopClosing(BackgroundGraph[Result]):
         is_detached = not self._is_placed or (scan.match.state == "lost" and scan.change.segment > 0)
         self._is_detached = is_detached
         wait_ns = DETACHED_INTERVAL_NS << min(max(self._stationary_count - MAX_STATIONARY, 0), MAX_DOUBLED)
-        spacing = 1 << len(self._waiting_frames) // WAITING_PER_DOUBLING
+        waiting = len(self._new_keyframes) + sum(map(len, self._sent))
+        spacing = 1 << waiting // WAITING_PER_DOUBLING
         is_due = self._is_step(pose, self._last, spacing) or (
             is_detached and scan.stamp_ns - self._last_ns >= wait_ns * spacing
         )
