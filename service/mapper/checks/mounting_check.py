@@ -20,6 +20,7 @@ import numpy as np
 from service.estimator.motion import Matrix, Measurement, Prediction
 from service.geometry.chi2 import CHI2_999_OF_3, CHI2_MEDIAN_OF_3
 from service.geometry.se2 import SE2
+from service.kernels.step_offset import ROBUST_CHI2
 from service.mapper.checks.stamp_check import BATCH, SCANS_WITH_SAME_ERRORS
 from service.outputs import NO_REASON, Reason
 
@@ -27,7 +28,6 @@ MOUNTING_TOLERANCE = np.diag([0.03, 0.03, math.radians(0.5)]) ** 2  # m, m, rad:
 CALIBRATED = np.diag([0.001, 0.001, math.radians(0.02)]) ** 2  # of mountings by `corridor calibrate`
 WEAK = 1e-3 * np.linalg.inv(MOUNTING_TOLERANCE)  # information that keeps unobservable directions invertible
 SEARCHED = np.diag([0.10, 0.10, math.radians(6.0)]) ** 2  # sigmas of the search for its scans meanwhile
-ROBUST_CHI2 = 9.0  # at which a scan, or a step, has half its weight
 MIN_ADVANTAGE = 0.1  # of one orientation over the other, in agreement with known ground
 KNOWN_RAD, KNOWN_M = math.radians(0.3), 0.02  # largest sigma of heading and of position in its best direction
 

@@ -18,15 +18,14 @@ import numpy.typing as npt
 
 from drivers.frames import OdometrySample
 from service.estimator.estimator import PAUSE_NS
-from service.geometry.chi2 import CHI2_99_OF_3, CHI2_999_OF_3, CHI2_MEDIAN_OF_2
+from service.geometry.chi2 import CHI2_99_OF_3, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
-from service.mapper.checks.mounting_check import ROBUST_CHI2
+from service.kernels.step_offset import MIN_TURN_RAD, fit_step_offset
 from service.mapper.checks.stamp_check import BATCH
 from service.outputs import NO_REASON, Reason
 
 Floats = npt.NDArray[np.float64]
 MOUNTING_STEP_M, MOUNTING_STEP_RAD = 0.4, 0.15  # either ends a step
-MIN_TURN_RAD = 0.1  # of a step that shows the position of the laser: smaller rotations are heading noise
 LONGEST_STEP_NS = 3_000_000_000
 SAMPLES_KEPT = 512  # of odometry
 STEPS = 200  # the newest are used: 80 m and more
@@ -35,9 +34,6 @@ STEPS = 200  # the newest are used: 80 m and more
 MIN_STEPS = 3
 NEWEST_M = 3.0  # of the path, which shows by itself that a laser was knocked, or set right
 NEW_STEPS = 4  # between two evaluations of that
-# Noise of a step by scan matching; by odometry, per root metre and per radian. The excess is estimated.
-MATCH_M, ODOMETRY_M = 0.01, 0.02
-WEAK_PRIOR_INFORMATION = 1e-6 * np.eye(4)  # keeps unobservable directions invertible
 MIN_OPPOSED_RAD = 3.0  # total rotation before opposed rotations are significant
 MAX_SCALE = 2.0  # or its inverse: beyond, odometry is unusable for this check
 AXLE_TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: of axle and mounting by hand
@@ -60,7 +56,7 @@ class OdometryMounting:
         self._samples: deque[tuple[int, SE2]] = deque(maxlen=SAMPLES_KEPT)
         self._waiting: tuple[int, SE2] | None = None  # a pose newer than odometry
         self._last: tuple[int, SE2, SE2] | None = None  # end of the last step: stamp, by scans, by odometry
-        self._steps: deque[tuple[float, ...]] = deque(maxlen=STEPS)  # x, y, theta by scans, then by odometry
+        self._steps = np.empty((0, 6))  # the newest; as of fault_of
         self._excess = 1.0  # least factor on the assumed variance of a step
         self._count = 0  # of steps
 
@@ -95,17 +91,15 @@ class OdometryMounting:
         if last is None or odometry is None:
             return
         matched, driven = last[1].inverse() @ pose_odom_base, last[2].inverse() @ odometry
-        self._steps.append(
-            (matched.x_m, matched.y_m, matched.theta_rad, driven.x_m, driven.y_m, driven.theta_rad)
-        )
+        self._steps = np.vstack((self._steps[1 - STEPS :], (*matched, *driven)))
         self._count += 1
         has_changed = self._count % NEW_STEPS == 0 and self._forget_another_mounting()
         if has_changed or MIN_STEPS <= self._count < BATCH or self._count % BATCH == 0:
-            self.fault = fault_of(np.array(self._steps), self._excess)
+            self.fault = fault_of(self._steps, self._excess)
 
     def _forget_another_mounting(self) -> bool:
         """Drop the steps before the newest ones where these show another mounting; whether they do."""
-        steps = np.array(self._steps)
+        steps = self._steps
         path_m = np.hypot(steps[:, 3], steps[:, 4])[::-1].cumsum()
         newest = int(np.searchsorted(path_m, NEWEST_M)) + 1
         if len(steps) < 2 * newest or (was := offset_of(steps[:-newest], self._excess)) is None:
@@ -113,7 +107,7 @@ class OdometryMounting:
         now = offset_of(steps[-newest:])
         if now is None or not is_another(was, now):
             return False
-        self._steps = deque(list(self._steps)[-newest:], STEPS)
+        self._steps = steps[-newest:]
         self._excess = was.excess  # few steps do not show the noise
         return True
 
@@ -199,23 +193,8 @@ def offset_of(steps: Floats, min_excess: float = 1.0) -> Offset | None:
 
     min_excess   least factor on the assumed variance of a step
     """
-    x, y, turn, driven = steps[:, 0], steps[:, 1], steps[:, 2], steps[:, 3:5]
-    turned = np.where(np.abs(turn) < MIN_TURN_RAD, 0.0, turn)
-    c, s = np.cos(turned), np.sin(turned)
-    # (4, 2 K) of yaw's cosine and sine and the translation, all over the scale
-    jacobian = np.hstack((np.stack((x, -y, 1 - c, s)), np.stack((y, x, -s, 1 - c))))
-    measured = driven.T.ravel()
-    path_length_m = np.hypot(driven[:, 0], driven[:, 1])
-    weight = 1.0 / (MATCH_M**2 + ODOMETRY_M**2 * path_length_m + (ODOMETRY_M * turn) ** 2)
-    counts, excess = np.ones(len(steps)), min_excess
-    unknown, covariance = np.zeros(4), np.eye(4)
-    for _ in range(4):
-        weighted = jacobian * np.tile(weight * counts / excess, 2)
-        covariance = np.linalg.inv(weighted @ jacobian.T + WEAK_PRIOR_INFORMATION)
-        unknown = covariance @ (weighted @ measured)
-        chi2 = weight * ((unknown @ jacobian - measured) ** 2).reshape(2, -1).sum(axis=0)
-        excess = max(float(np.median(chi2)) / CHI2_MEDIAN_OF_2, min_excess)
-        counts = 1.0 / (1.0 + chi2 / (ROBUST_CHI2 * excess))
+    unknown, covariance = np.empty(4), np.empty((4, 4))
+    excess = fit_step_offset(np.ascontiguousarray(steps), min_excess, unknown, covariance)
     inverse_scale = math.hypot(unknown[0], unknown[1])
     if not 1.0 / MAX_SCALE <= inverse_scale <= MAX_SCALE:
         return None
