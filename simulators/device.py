@@ -15,8 +15,8 @@ TURNS_SKIPPED = "turns_skipped"  # name of the counter of those it left out beyo
 def turns_to_skip(behind_ns: int, period_ns: float, keep_ns: int = CATCH_UP_NS) -> int:
     """How many turns a device leaves out whose next one is behind_ns over its time: none up to keep_ns, all
     but the newest beyond. A real device is never late, but the process of a fake one may get no processor for
-    a while: what was measured then is sent late, with its right device time. One that cannot make it good
-    begins again at the present, lest it stay late for good.
+    a while: what was measured then is sent late, with its right device time. A device that cannot
+    catch up begins again at the present, so that it does not stay late.
     """
     return math.floor(behind_ns / period_ns) if behind_ns > keep_ns else 0
 
@@ -30,11 +30,11 @@ class Sweep:
 
 
 class FakeDevice(Protocol):
-    """A pretended device: bytes and time in, bytes out. Times are the host's monotonic clock, ns.
+    """A fake device: bytes and time in, bytes out. Times are the host's monotonic clock, ns.
 
-    The wire calls `connected` when a client comes, `receive_data` for what it sends, `due` whenever
-    `next_due_ns` is reached, `disconnected` when it goes. A device that keeps running without a client
-    (a spinning laser) works out from `now_ns` what it missed.
+    The wire calls `connected` when a client connects, `receive_data` for what it sends, `due` whenever
+    `next_due_ns` is reached, `disconnected` when it disconnects. A device that keeps running without a client
+    (a spinning laser) computes from `now_ns` what it missed.
     """
 
     def connected(self, now_ns: int) -> bytes: ...
@@ -46,8 +46,8 @@ class FakeDevice(Protocol):
 
 @runtime_checkable
 class ManyClients(Protocol):
-    """A device that several clients may talk to at a time: each gets a FakeDevice of its own, which holds
-    what belongs to the connection (login, subscription) and shares what belongs to the device.
+    """A device with several clients at a time: each gets a FakeDevice of its own, which has the state of the
+    connection (login, subscription) and shares the state of the device.
     """
 
     def new_client(self) -> FakeDevice: ...
@@ -71,16 +71,16 @@ class CountsTurns(Protocol):
 
 @runtime_checkable
 class HasClock(Protocol):
-    """A device that shows a clock of its own on the wire."""
+    """A device whose messages have times of its own clock."""
 
     def jump_clock(self, seconds: float) -> None:
-        """Set the clock forward, or back where negative; the device does not mention it."""
+        """Set the clock forward, or back where negative; the device does not report it."""
         ...
 
 
 @runtime_checkable
 class HasChecksum(Protocol):
-    """A device that knows where its checksums stand."""
+    """A device whose messages have checksums."""
 
     def spoil_checksum(self, message: bytes) -> bytes:
         """The message with a wrong checksum and all else valid; unchanged where it carries none."""
@@ -110,15 +110,15 @@ class Beams:
 
 
 class SweepSource(Protocol):
-    """What a laser sees: the truth, with this laser's own errors on it."""
+    """The scans of a laser: the truth with this laser's own errors."""
 
     def sweep(self, beams: Beams) -> Sweep:
-        """Each beam is cast from where the vehicle is at its moment."""
+        """Each beam is cast from the vehicle's pose at its own time."""
         ...
 
 
 class LayeredSweepSource(Protocol):
-    """What a laser of several layers sees, each layer with noise of its own."""
+    """The scans of a laser of several layers, each layer with noise of its own."""
 
     def sweep_layers(self, layer_count: int, beams: Beams) -> list[Sweep]:
         """As SweepSource.sweep, one sweep each layer; layers are close together and meet the same walls."""
@@ -126,10 +126,8 @@ class LayeredSweepSource(Protocol):
 
 
 class WheelSource(Protocol):
-    """What wheel encoders measure: true travel with slip and scale error on it, before quantisation."""
+    """The measurements of wheel encoders: true travel with slip and scale error, before quantisation."""
 
     def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
-        """Path length rolled by the left and the right wheel since the world began, m; backwards counts
-        down.
-        """
+        """Path length rolled by the left and the right wheel since the world began, m; negative backwards."""
         ...

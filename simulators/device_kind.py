@@ -1,4 +1,4 @@
-"""What `corridor simulate` knows of a type of fake device."""
+"""A type of fake device, for `corridor simulate`."""
 
 import math
 from collections.abc import Callable
@@ -18,11 +18,11 @@ if TYPE_CHECKING:  # it brings Zenoh, which no other device needs
 
 
 class DeviceOptions(Section, allow_inf_nan=False):
-    """What may stand behind NAME=TYPE: as key=value. Every key has a default."""
+    """Options after NAME=TYPE: as key=value. Every key has a default."""
 
 
 class MountedOptions(DeviceOptions):
-    """Of a device with a place in the base frame, and a clock of its own."""
+    """Options of a device with a mounting in the base frame, and a clock of its own."""
 
     x_m: OffsetM = 0.0
     y_m: OffsetM = 0.0
@@ -35,7 +35,7 @@ class MountedOptions(DeviceOptions):
 
 
 class LaserOptions(MountedOptions):
-    """Of a laser with a TCP port."""
+    """Options of a laser with a TCP port."""
 
     host: str = "127.0.0.1"
     port: int = Field(default=0, ge=0, le=65535)  # 0: any free
@@ -44,7 +44,6 @@ class LaserOptions(MountedOptions):
     bias_m: float = 0.0
 
     def source(self, ride: Ride, name: str, optics: LaserModel, seed: int) -> LaserTruth:
-        """What it sees."""
         sigma_m = optics.sigma_m if self.sigma_m is None else self.sigma_m
         model = replace(optics, sigma_m=sigma_m, bias_m=self.bias_m)
         return LaserTruth(ride, name, SE2(self.x_m, self.y_m, self.yaw_rad), model, seed)
@@ -52,10 +51,10 @@ class LaserOptions(MountedOptions):
 
 @dataclass(frozen=True, slots=True)
 class DeviceKind:
-    """options stand behind NAME=TYPE: as key=value; all have defaults.
+    """options follow NAME=TYPE: as key=value; all have defaults.
 
-    build takes the device's name, its options, the ride that feeds it and the seed of all noise, and gives
-    the device on its wire, which is served while it is entered.
+    build takes the device's name, its options, the ride that it measures and the seed of all noise, and
+    returns the device on its wire, which is served while it is entered.
     """
 
     options: type[DeviceOptions]

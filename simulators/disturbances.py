@@ -1,4 +1,4 @@
-"""What disturbs the measuring of a drive for a while: slip of the wheels, a knocked laser.
+"""Disturbances of a drive's measurements for a time: slip of the wheels, a turned laser.
 
 Times are those of the drive, seconds since it began.
 """
@@ -14,7 +14,7 @@ from simulators.trajectory import Floats, Trajectory
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """The wheels roll otherwise than the vehicle moves: 0 frozen (towed, carried), above 1 they spin."""
+    """The wheels' travel by the vehicle's: 0 blocked (towed, carried), above 1 spinning."""
 
     from_s: float
     to_s: float
@@ -28,7 +28,7 @@ class Slip:
 
 @dataclass(frozen=True, slots=True)
 class Knock:
-    """The laser stands turned by this against its mounting; counter-clockwise."""
+    """The laser is turned by this angle against its mounting; counter-clockwise."""
 
     from_s: float
     to_s: float

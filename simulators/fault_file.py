@@ -4,7 +4,7 @@
       - {device: front, kind: cut, at_s: 10, for_s: 2}
       - {device: base, kind: bit_flips, at_s: 5, for_s: 3, every_s: 20, rate: 0.0005}
 
-What the kinds do stands in simulators/faults.py.
+The effects of the kinds: simulators/faults.py.
 """
 
 import typing
@@ -151,7 +151,7 @@ def read_faults(path: Path, devices: Devices) -> list[Fault]:
 
 
 def parse_faults(text: str, file: str, devices: Devices) -> list[Fault]:
-    """As read_faults, for text already at hand; `file` names it in the mistakes."""
+    """As read_faults, of a text; `file` names it in the mistakes."""
     document = load(text)
     faults = list(_Reader(document, devices).read())
     raise_faults(document, file)

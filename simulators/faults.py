@@ -5,7 +5,8 @@ of the bytes it sends    garbage, bit_flips, half_messages, wrong_checksum, dupl
 of the device            silence, restart, slow_start, clock_jump
 
 A message is one return value of the device. Several faults may act at a time; on a message they act
-in the order of the file. What the host sends is never harmed, only lost while there is no one to hear it.
+in the order of the file. Bytes of the host are never changed, but are lost
+while the device is off.
 """
 
 import logging
@@ -34,7 +35,7 @@ from simulators.fault_file import (
 
 log = logging.getLogger(__name__)
 
-TIMES, CONTENT = 0, 1  # generators of a fault: when it comes shall not depend on what was sent
+TIMES, CONTENT = 0, 1  # generators of a fault: its times do not depend on the bytes sent
 
 
 class _Scheduled:
@@ -61,7 +62,7 @@ class _Scheduled:
         return self.end_ns if self.active else self.begin_ns
 
     def go_on(self) -> None:
-        """To the next time."""
+        """To its next time."""
         fault = self.fault
         self.active = False
         self._done += 1
@@ -89,38 +90,38 @@ class Faulty:
             for number, fault in enumerate(faults)
             if isinstance(fault, RepeatedFault)
         ]
-        self._change_ns = min(self._changes(), default=(None, 0))[0]  # None: nothing comes or goes any more
+        self._change_ns = min(self._changes(), default=(None, 0))[0]  # None: no fault begins or ends any more
         self._slow_starts = [
             (zero_ns + round(fault.at_s * 1e9), round(fault.for_s * 1e9))
             for fault in faults
             if isinstance(fault, SlowStart)
         ]
-        self._deaf_until_ns = 0
-        self._held: deque[tuple[int, bytes]] = deque()  # host time to let go, message; none overtakes another
+        self._off_until_ns = 0
+        self._queue: deque[tuple[int, bytes]] = deque()  # host time to send, message; in order
         self._note_start(zero_ns)
 
     def connected(self, now_ns: int) -> bytes:
         self._advance(now_ns)
         self._accept(self.device.connected(now_ns), now_ns)
-        return self._let_go(now_ns)
+        return self._take_due(now_ns)
 
     def disconnected(self, now_ns: int) -> None:
         self._advance(now_ns)
-        self._held.clear()
+        self._queue.clear()
         self.device.disconnected(now_ns)
 
     def receive_data(self, data: bytes, now_ns: int) -> bytes:
         self._advance(now_ns)
-        if self._is_dead(now_ns):
+        if self._is_off(now_ns):
             self.counters["requests_lost"] += 1
         else:
             self._accept(self.device.receive_data(data, now_ns), now_ns)
-        return self._let_go(now_ns)
+        return self._take_due(now_ns)
 
     def next_due_ns(self, now_ns: int) -> int | None:
         self._advance(now_ns)
-        held_ns = self._held[0][0] if self._held else None
-        times = (self.device.next_due_ns(now_ns), held_ns, self._change_ns)
+        leaves_ns = self._queue[0][0] if self._queue else None
+        times = (self.device.next_due_ns(now_ns), leaves_ns, self._change_ns)
         return min([due_ns for due_ns in times if due_ns is not None], default=None)
 
     def due(self, now_ns: int) -> bytes:
@@ -128,7 +129,7 @@ class Faulty:
         due_ns = self.device.next_due_ns(now_ns)
         if due_ns is not None and due_ns <= now_ns:
             self._accept(self.device.due(now_ns), now_ns)
-        return self._let_go(now_ns)
+        return self._take_due(now_ns)
 
     def plugged(self, now_ns: int) -> bool:
         self._advance(now_ns)
@@ -140,12 +141,12 @@ class Faulty:
         return min((at_ns for at_ns in times if at_ns is not None), default=None)
 
     def _changes(self) -> list[tuple[int, int]]:
-        """Of each fault that comes or goes again: when next, and its number."""
+        """Next time each fault begins or ends, and its number."""
         ahead = [(scheduled.next_change_ns, number) for number, scheduled in enumerate(self._scheduled)]
         return [(at_ns, number) for at_ns, number in ahead if at_ns is not None]
 
     def _advance(self, now_ns: int) -> None:
-        """Begin and end what has its time, in the order of time."""
+        """Begin and end each fault whose time has come, in the order of time."""
         while self._change_ns is not None and self._change_ns <= now_ns:
             at_ns, number = min(self._changes())
             scheduled = self._scheduled[number]
@@ -164,7 +165,7 @@ class Faulty:
             assert isinstance(self.device, HasClock)
             self.device.jump_clock(fault.by_s)
         elif isinstance(fault, Restart):
-            self._held.clear()
+            self._queue.clear()
 
     def _end(self, scheduled: _Scheduled, at_ns: int) -> None:
         scheduled.go_on()
@@ -176,26 +177,26 @@ class Faulty:
     def _note_start(self, at_ns: int) -> None:
         for since_ns, lasts_ns in self._slow_starts:
             if since_ns <= at_ns:
-                self._deaf_until_ns = max(self._deaf_until_ns, at_ns + lasts_ns)
+                self._off_until_ns = max(self._off_until_ns, at_ns + lasts_ns)
 
-    def _is_dead(self, now_ns: int) -> bool:
-        """Whether it neither hears nor speaks."""
+    def _is_off(self, now_ns: int) -> bool:
+        """Whether it neither receives nor sends."""
         off = any(scheduled.active and isinstance(scheduled.fault, Restart) for scheduled in self._scheduled)
-        return off or now_ns < self._deaf_until_ns
+        return off or now_ns < self._off_until_ns
 
     def _accept(self, message: bytes, now_ns: int) -> None:
-        """Take a message of the device; what becomes of it stands in _held."""
+        """Put a message of the device into _queue, with the active faults applied."""
         if not message:
             return
         active = [scheduled for scheduled in self._scheduled if scheduled.active]
-        if self._is_dead(now_ns) or any(isinstance(scheduled.fault, Silence) for scheduled in active):
+        if self._is_off(now_ns) or any(isinstance(scheduled.fault, Silence) for scheduled in active):
             self.counters["messages_unsaid"] += 1
             return
         messages = [message]
         for scheduled in active:
             messages = [harmed for intact in messages for harmed in self._harm(intact, scheduled)]
         leaves_ns = self._leaves_ns(now_ns, active)
-        self._held += [(leaves_ns, harmed) for harmed in messages if harmed]
+        self._queue += [(leaves_ns, harmed) for harmed in messages if harmed]
 
     def _leaves_ns(self, now_ns: int, active: Sequence[_Scheduled]) -> int:
         leaves_ns = now_ns
@@ -214,10 +215,10 @@ class Faulty:
             self.counters["messages_delayed"] += 1
         return leaves_ns
 
-    def _let_go(self, now_ns: int) -> bytes:
+    def _take_due(self, now_ns: int) -> bytes:
         leaving = bytearray()
-        while self._held and self._held[0][0] <= now_ns:
-            leaving += self._held.popleft()[1]
+        while self._queue and self._queue[0][0] <= now_ns:
+            leaving += self._queue.popleft()[1]
         return bytes(leaving)
 
     def _harm(self, message: bytes, scheduled: _Scheduled) -> list[bytes]:

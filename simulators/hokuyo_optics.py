@@ -1,4 +1,4 @@
-"""What a pretended Hokuyo laser measures in one sweep, coded as the device codes it. No I/O, no protocol."""
+"""What a fake Hokuyo laser measures in one sweep, coded as the device codes it. No I/O, no protocol."""
 
 import math
 
@@ -13,7 +13,7 @@ FULL_INTENSITY = 16_000  # raw; a recorded unit gave 1744 to 16219
 
 
 class Optics:
-    """Casts the rays of a sweep and writes down what comes back."""
+    """Casts the rays of a sweep and codes their echoes."""
 
     def __init__(self, source: SweepSource, replies: Replies) -> None:
         self._source = source

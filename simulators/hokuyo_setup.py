@@ -1,4 +1,4 @@
-"""What a pretended Hokuyo laser is: the replies of its model, and the state it is switched on in. No I/O."""
+"""What a fake Hokuyo laser is: the replies of its model, and the state it is switched on in. No I/O."""
 
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -93,7 +93,7 @@ class Utm30lxSetup:
     product: str = ""  # what it calls itself; "": as its model does
     serial_number: str = "00903971"
     last_step: int | None = None  # None: as its model states in PP
-    boot_ns: int = 0  # nothing answers; a real one takes 1 to 2 s by USB, several by Ethernet
+    boot_ns: int = 0  # the device does not answer; a real one takes 1 to 2 s by USB, several by Ethernet
     warm_up_ns: int = 0  # after that: laser and scans are answered 0M
     scip_1: bool = False  # until it gets SCIP2.0
     clock_start_ms: int = 0  # at power-up; near 2**24 it soon wraps

@@ -1,9 +1,9 @@
-"""A pretended Hokuyo laser of drivers.hokuyo_utm30lx.models: the other end of drivers.hokuyo_utm30lx. No I/O.
+"""A fake Hokuyo laser of drivers.hokuyo_utm30lx.models. No I/O.
 
 It answers the requests of third-party clients at their start-up (urg_library, hokuyo_node, MRPT, hokuyolx) in
 the order and form they need, and reproduces the behaviour of real ones: silence while booting, 0M until the
-motor turns evenly, a USB unit that streams on for a client that died, a clock of milliseconds that drifts and
-wraps.
+motor turns evenly, a USB unit that goes on streaming after its client died, a clock of milliseconds that
+drifts and wraps.
 """
 
 from collections import Counter, deque
@@ -85,7 +85,7 @@ class FakeUtm30lx:
             return b""
         self._next_turn = self._turn_after(now_ns)
         telegram = self._scan_message(self._stream, self._stream_echo, self._next_turn - 1, "99")
-        return telegram[len(telegram) // 2 :]  # we come in the middle
+        return telegram[len(telegram) // 2 :]  # the client connects within a telegram
 
     def disconnected(self, now_ns: int) -> None:
         self._single.clear()
@@ -93,7 +93,7 @@ class FakeUtm30lx:
             self._stop()
 
     def power_on(self, now_ns: int) -> None:
-        """As after a power cut: all is forgotten."""
+        """As after a power cut: stored state is lost."""
         self._powered_on_ns = now_ns
         self._answers_from_ns = now_ns + self.setup.boot_ns
         self._steady_from_ns = self._answers_from_ns + self.setup.warm_up_ns

@@ -1,4 +1,4 @@
-"""A pretended IBEO LUX: the other end of drivers.ibeo_lux. No I/O.
+"""A fake IBEO LUX. No I/O.
 
 It measures from power-up, with a client or without, answers every command but Reset, and reproduces the
 behaviour of real ones: label bits set at random where the labelling did not run, two of the four layers
@@ -6,7 +6,7 @@ missing at the rims of the field, silence for odd angles, refusal of what its fi
 that counts from power-up until it is set and drifts. The points a scan agree with a real one: 742 from 50 to
 -50 deg, where an LD-MRS announced 740 (SICKAG/sick_scan_xd, tools/test_server/config/test_server_ldmrs.yaml).
 
-Assumed, as no source tells: which two layers remain at the right rim (the upper ones), and the sectors of the
+Assumed, without a source: which two layers remain at the right rim (the upper ones), and the sectors of the
 focused resolution (0.125 deg within 10 deg of straight ahead, 0.25 within 30, 0.5 beyond).
 """
 
@@ -71,8 +71,8 @@ class LuxSetup:
     """Firmware, stored parameters and faults of this unit."""
 
     measuring: bool = True  # by itself after power-up
-    boot_ns: int = 0  # the port is open but nothing answers
-    start_delay_ns: int = 300_000_000  # from standing still to measuring; a real one takes seconds
+    boot_ns: int = 0  # the port is open but the device does not answer
+    start_delay_ns: int = 300_000_000  # from standstill to measuring; a real one takes seconds
     parameters: dict[int, int] = field(default_factory=dict)  # stored in its flash, over DEFAULTS
     unsupported: frozenset[int] = frozenset()  # parameters this firmware does not know
     refused: frozenset[int] = frozenset()  # commands
@@ -93,8 +93,8 @@ class FakeIbeoLux:
 
     def __init__(self, source: LayeredSweepSource, setup: LuxSetup | None = None, seed: int = 0) -> None:
         self.setup = setup or LuxSetup()
-        self.motor_failed = False  # scans end, and it reports it once a second
-        self.silent = False  # nothing more is reported
+        self.motor_failed = False  # scans end, and an error is reported once a second
+        self.silent = False  # it sends no more messages
         self.counters: Counter[str] = Counter()
         self._source = source
         s = self.setup
@@ -106,7 +106,7 @@ class FakeIbeoLux:
         self._boots_until_ns = 0
         self._clock_set_ns = 0  # the clock was at _clock_set_ntp then
         self._clock_set_ntp = 0
-        self.turning_since_ns: int | None = None  # begin of sweep 0; None: standing still
+        self.turning_since_ns: int | None = None  # begin of sweep 0; None: standstill
         self._next_scan = 0
         self.number_base = 0
         self._pending: deque[bytes] = deque()
@@ -165,7 +165,7 @@ class FakeIbeoLux:
         return self._next_message(now_ns)
 
     def power_on(self, now_ns: int) -> None:
-        """Also off and on again: the clock starts over, what is not in the flash is forgotten."""
+        """Also off and on again: the clock starts over, settings that are not in the flash are lost."""
         self._powered_on_ns = self._clock_set_ns = now_ns
         self._clock_set_ntp = 0
         self._boots_until_ns = now_ns + self.setup.boot_ns
@@ -188,16 +188,16 @@ class FakeIbeoLux:
         return message
 
     def report(self, registers: ErrorRegisters, now_ns: int) -> None:
-        """Tell errors and warnings, if this is not switched off."""
+        """Send errors and warnings, if this is not switched off."""
         if not self._parameters[Parameter.DATA_OUTPUT] & 0x0010:
             self._pending.append(self._message(DataType.ERRORS, registers.write(), now_ns))
 
     def parameter(self, index: int) -> int:
-        """As it stands now."""
+        """Its present value."""
         return self._parameters[index]
 
     def ntp(self, now_ns: int) -> int:
-        """What its clock shows."""
+        """Time of its clock."""
         since_ns = (now_ns - self._clock_set_ns) * (1.0 + self.setup.clock_drift_ppm * 1e-6)
         return (self._clock_set_ntp + (round(since_ns) << 32) // 1_000_000_000) % NTP_MODULUS
 
@@ -305,7 +305,7 @@ class FakeIbeoLux:
             self.counters["requests_unusable"] += 1
             return b""
         if command == Command.RESET:
-            self.power_on(now_ns)  # the real one drops the connection; here it is deaf until it has booted
+            self.power_on(now_ns)  # the real one disconnects; here it ignores requests until it has booted
             return b""
         handlers: dict[int, Callable[[bytes, int], bytes]] = {
             Command.GET_STATUS: self._get_status,

@@ -36,7 +36,7 @@ class Inertial:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """What the receiver finds of its antenna, or the filter of the unit itself."""
+    """Solution of the receiver for its antenna, or of the filter for the unit itself."""
 
     latitude_deg: float
     longitude_deg: float
@@ -48,22 +48,22 @@ class Place:
 
 
 class InertialSource(Protocol):
-    """What a fake inertial unit is fed by."""
+    """The measurements of a fake inertial unit."""
 
     def inertial(self, stamps_ns: npt.NDArray[np.int64]) -> Inertial: ...
 
     def place(self, stamp_ns: int) -> Place | None:
-        """What the receiver finds; None where there are no satellites in sight."""
+        """The receiver's solution; None without satellites."""
         ...
 
     def estimates(self, stamps_ns: npt.NDArray[np.int64]) -> list[Place] | None:
-        """What the filter of unit and receiver makes of it, one each stamp; None without satellites."""
+        """Solution of the filter of unit and receiver, one each stamp; None without satellites."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class ImuModel:
-    """Errors: white noise by density, and a bias that starts at random and walks on.
+    """Errors: white noise by density, and a bias with a random start that walks randomly.
 
     A bias begins with a standard deviation of its stability and walks by as much again in bias_time_s.
     """
@@ -110,7 +110,7 @@ class ImuMounting:
 class InertialTruth:
     """InertialSource of an inertial unit on the riding vehicle.
 
-    gnss_sigma_m  of the receiver, in each direction; None: no satellites in sight
+    gnss_sigma_m  of the receiver, in each direction; None: no satellites
     """
 
     ride: Ride
@@ -186,7 +186,7 @@ class InertialTruth:
         return rotations
 
     def place(self, stamp_ns: int) -> Place | None:
-        """What the receiver finds at this moment; None where there are no satellites in sight."""
+        """The receiver's solution at this moment; None without satellites."""
         sigma_m = self.gnss_sigma_m
         if sigma_m is None:
             return None
@@ -203,8 +203,8 @@ class InertialTruth:
         return self._found(at, error, (*velocity, 0.0), wrong_mps)
 
     def estimates(self, stamps_ns: npt.NDArray[np.int64]) -> list[Place] | None:
-        """Where the filter puts the unit itself at these moments, and how fast; it follows the receiver's
-        slow errors. None where there are no satellites in sight.
+        """Position and velocity of the unit by the filter at these moments; it follows the receiver's slow
+        errors. None without satellites.
         """
         sigma_m = self.gnss_sigma_m
         if sigma_m is None:
@@ -253,7 +253,7 @@ class InertialTruth:
         )
 
     def _velocity_sigma(self, sigma_mps: float) -> float:
-        """A receiver that makes no errors of place makes none of velocity."""
+        """A receiver without position errors has none of velocity."""
         return sigma_mps if self.gnss_sigma_m else 0.0
 
     def receiver_error(self, stamp_ns: int) -> Floats:
@@ -273,8 +273,8 @@ class InertialTruth:
             ]
         )
         share = (place - step)[:, None]
-        drawn: Floats = (1.0 - share) * knots[step - first] + share * knots[step - first + 1]
-        return drawn
+        straight: Floats = (1.0 - share) * knots[step - first] + share * knots[step - first + 1]
+        return straight
 
 
 def _turned(angle_rad: float, x: float, y: float) -> tuple[float, float]:
@@ -283,7 +283,7 @@ def _turned(angle_rad: float, x: float, y: float) -> tuple[float, float]:
 
 
 def _on_earth(datum: Datum, east_m: float, north_m: float) -> tuple[float, float]:
-    """Latitude and longitude, deg, of a place near the datum, by the ellipsoid's radii of curvature there."""
+    """Latitude and longitude, deg, of a position near the datum, by the ellipsoid's radii of curvature."""
     sine = math.sin(math.radians(datum.latitude_deg))
     root = math.sqrt(1.0 - WGS84_E2 * sine * sine)
     meridian_m = WGS84_A_M * (1.0 - WGS84_E2) / root**3 + datum.height_m

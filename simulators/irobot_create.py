@@ -1,7 +1,7 @@
-"""A pretended Create 1, Create 2 or Roomba: Open Interface bytes in and out, wheels fed by a WheelSource.
+"""A fake Create 1, Create 2 or Roomba: Open Interface bytes in and out, wheels fed by a WheelSource.
 
-Source: the manuals named in drivers.irobot_create.protocol. Drive commands are obeyed as far as the wire
-shows it (packets 39 to 42) but move nothing: the vehicle's motion comes from the world.
+Source: the manuals named in drivers.irobot_create.protocol. Drive commands
+change packets 39 to 42 but move nothing: the vehicle's motion comes from the world.
 """
 
 import math
@@ -28,7 +28,7 @@ from simulators.device import CATCH_UP_NS, TURNS_SKIPPED, WheelSource, turns_to_
 
 SLEEP_AFTER_NS = 300_000_000_000
 BANNER_AFTER_NS = 500_000_000
-SPEED_SPAN_NS = 50_000_000  # over which the wheels' own speed is taken where no one drives by wire
+SPEED_SPAN_NS = 50_000_000  # span of the wheels' own speed where no drive command was sent
 CREATE2_DEGREES = 0.324056  # what firmware before 3.4.1 reports for one true degree in packet 20
 REQUESTED_IDS = {39, 40, 41, 42}
 
@@ -60,11 +60,11 @@ IDLE_VALUES: dict[int, int] = {
 
 
 class FakeCreate:
-    """One robot on one serial line. Off and silent until it hears Start (128).
+    """One robot on one serial line. It sends nothing until it receives Start (128).
 
     start_counts           encoder readings when the world began (left, right)
     mode_one_too_high      packet 35 as some robots have it: passive 2, safe 3, full 4
-    text_every_ns          how often it speaks unasked, every second time inside a frame; None: never
+    text_every_ns          how often it sends text unasked, every second time inside a frame; None: never
     sleep_after_ns         of Passive mode without a command; None: never
     wakes_on_connect       the cable's wake line is wired, and opening the port pulses it
     clock_drift_ppm        positive: its frames come faster
@@ -103,7 +103,7 @@ class FakeCreate:
         self.commands: list[Command] = []  # the newest 1000, for tests to look at
         self.values = dict(IDLE_VALUES)  # what the sensors read; tests and faults write here
         self._read_travel_m: dict[int, tuple[float, float]] = {}  # at the last reading of packets 19 and 20
-        self._commanded: dict[int, int] | None = None  # packets 39 to 42 once someone drives by wire
+        self._commanded: dict[int, int] | None = None  # packets 39 to 42 after a drive command
         self._stream_ids: tuple[int, ...] = ()
         self._paused = False
         self._frame_at_ns: int | None = None  # moment of measurement of the next frame
@@ -115,19 +115,19 @@ class FakeCreate:
     def connected(self, now_ns: int) -> bytes:
         if self._wakes_on_connect:
             self.wake(now_ns)
-        self._skip(now_ns, 0)  # frames that no one was there to take are gone
+        self._skip(now_ns, 0)  # frames without a client are lost
         return b""
 
     def disconnected(self, now_ns: int) -> None:
-        """The robot does not notice."""
+        """Nothing changes."""
 
     def wake(self, now_ns: int) -> None:
-        """A low pulse on BRC, or someone presses Clean."""
+        """A low pulse on BRC, or the Clean button."""
         self.asleep = False
         self._last_activity_ns = now_ns
 
     def drop_wheel(self, dropped: bool = True) -> None:
-        """Lift the robot, or set it down. In Safe mode it falls back to Passive without a word."""
+        """Lift the robot, or set it down. In Safe mode it falls back to Passive without a message."""
         self.values[PacketId.BUMPS_WHEEL_DROPS] = 0b01100 if dropped else 0
         if dropped and self.mode is Mode.SAFE:
             self.mode = Mode.PASSIVE
@@ -178,7 +178,7 @@ class FakeCreate:
         while (due_ns := self._frame_due_ns()) is not None and now_ns >= due_ns:
             sent += self._next_frame(now_ns)
         if self._text_is_due(now_ns) and not self._text_waits_for_frame():
-            sent += self._speak(now_ns)
+            sent += self._send_text(now_ns)
         return bytes(sent)
 
     def _text_is_due(self, now_ns: int) -> bool:
@@ -188,7 +188,7 @@ class FakeCreate:
         return self._texts_sent % 2 == 1 and self._frame_at_ns is not None
 
     def _frame_due_ns(self) -> int | None:
-        """When the next frame's last byte leaves: it takes its time on the wire."""
+        """When the next frame's last byte leaves: it has its duration on the wire."""
         if self._frame_at_ns is None:
             return None
         content = len(self._stream_ids) + data_bytes(self._stream_ids)
@@ -200,17 +200,17 @@ class FakeCreate:
         self._frame_at_ns += self._frame_period_ns
         if self._text_is_due(now_ns) and self._text_waits_for_frame():
             middle = len(frame) // 2
-            return frame[:middle] + self._speak(now_ns) + frame[middle:]
+            return frame[:middle] + self._send_text(now_ns) + frame[middle:]
         return frame
 
-    def _speak(self, now_ns: int) -> bytes:
+    def _send_text(self, now_ns: int) -> bytes:
         assert self._text_every_ns is not None
         self._texts_sent += 1
         self._text_at_ns = now_ns + self._text_every_ns
         return FLASH_TEXT
 
     def _skip(self, now_ns: int, keep_ns: int) -> int:
-        """Leave out the frames older than that; how many."""
+        """Leave out the frames older than that; returns their number."""
         if self._frame_at_ns is None:
             return 0
         skipped = turns_to_skip(now_ns - self._frame_at_ns, self._frame_period_ns, keep_ns)
@@ -262,7 +262,7 @@ class FakeCreate:
             case Opcode.DRIVE | Opcode.DRIVE_DIRECT if self.mode in (Mode.SAFE, Mode.FULL):
                 self._drive(command)
             case _:
-                pass  # songs, lamps, motors, scripts, schedules: heard, and nothing to see on the wire
+                pass  # songs, lamps, motors, scripts, schedules: accepted, without an answer
         return b""
 
     def _answer(self, packet_ids: Sequence[int], now_ns: int) -> bytes:
@@ -331,7 +331,7 @@ class FakeCreate:
         return travel_m[0] - left_m, travel_m[1] - right_m
 
     def _own_speeds(self, at_ns: int) -> dict[int, int]:
-        """Packets 39 to 42 as if whoever moves the vehicle did it by drive commands."""
+        """Packets 39 to 42 as if the vehicle were moved by drive commands."""
         before_ns = max(at_ns - SPEED_SPAN_NS, 0)
         if before_ns == at_ns:
             return {}

@@ -1,4 +1,4 @@
-"""What the optics of a pretended LUX saw, as the points of its scan. No I/O."""
+"""The sweeps of a fake LUX as the points of its scan. No I/O."""
 
 import math
 
@@ -69,7 +69,7 @@ class LuxOptics:
         return points[there]
 
     def _flags(self, is_ground: npt.NDArray[np.bool_], wet: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
-        """(S, 2, 2) reserved bits as recorded, labels where they ran and chance where they did not."""
+        """(S, 2, 2) reserved bits as recorded, labels, random ones where labelling did not run."""
         flags = 0x40 | self._noise.integers(0, 2, (*is_ground.shape, 2)) << 4
         if self._labels & ScanFlag.GROUND_LABELLED:
             flags[:, :, 1] |= is_ground * PointFlag.GROUND

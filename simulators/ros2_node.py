@@ -1,4 +1,4 @@
-"""A pretended ROS 2 node that publishes what one sensor measures, stamped by a clock of its own. No I/O."""
+"""A fake ROS 2 node that publishes what one sensor measures, stamped by a clock of its own. No I/O."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -20,7 +20,7 @@ class NodeSetup:
 
 
 class FakeNode:
-    """A FakeDevice that only speaks: what `due` returns is the payload of one message."""
+    """A FakeDevice that only sends: `due` returns the payload of one message."""
 
     def __init__(self, measure: Measure, setup: NodeSetup) -> None:
         self._measure = measure

@@ -28,9 +28,9 @@ log = logging.getLogger("simulators")
 DONE, FAILED, USAGE, IO_ERROR = 0, 1, 64, 74
 MAX_STAND_S = 1e6
 LOOK_S = 0.05  # how often the truth is written and the parent looked for
-TELL_S = 10.0  # how often losses are reported
+REPORT_S = 10.0  # how often losses are reported
 TRUTH_STEP_NS = 5_000_000
-SWITCH_INTERVAL_S = 0.0005  # a thread per device: none may hold another's due time up for long
+SWITCH_INTERVAL_S = 0.0005  # a thread per device: none delays another for long
 
 
 class _Parser(argparse.ArgumentParser):
@@ -129,19 +129,19 @@ def _run(options: argparse.Namespace) -> int:
         truth = TruthFile(ride, truth_file)
         _announce(vehicle, options.print_endpoints)
         facts: Counter[tuple[str, str]] = Counter()
-        tell_at_s = time.monotonic() + TELL_S
+        report_at_s = time.monotonic() + REPORT_S
         while signal.sigtimedwait(stopping, LOOK_S) is None:
             truth.write_until(time.monotonic_ns())
-            if time.monotonic() >= tell_at_s:
-                tell_losses(vehicle, facts)
-                tell_at_s = time.monotonic() + TELL_S
+            if time.monotonic() >= report_at_s:
+                warn_of_losses(vehicle, facts)
+                report_at_s = time.monotonic() + REPORT_S
             if vehicle.failed:
                 return FAILED
             if options.die_with_parent and os.getppid() != parent:
                 log.info("parent process %d has gone; ending", parent)
                 break
         truth.write_until(time.monotonic_ns())
-        tell_losses(vehicle, facts)
+        warn_of_losses(vehicle, facts)
         if options.print_endpoints:
             losses = {name: sum(counts.values()) for name, counts in vehicle.losses().items()}
             print(json.dumps({"left_out": {name: n for name, n in losses.items() if n}}), flush=True)
@@ -150,8 +150,8 @@ def _run(options: argparse.Namespace) -> int:
     return DONE
 
 
-def tell_losses(vehicle: FakeVehicle, facts: Counter[tuple[str, str]]) -> None:
-    """Warn of what was lost on this side since the last report: a measurement of a driver would blame it."""
+def warn_of_losses(vehicle: FakeVehicle, facts: Counter[tuple[str, str]]) -> None:
+    """Warn of measurements and messages that the simulation lost since the last report."""
     for name, losses in vehicle.losses().items():
         for what, count in losses.items():
             if count > facts[name, what]:

@@ -1,10 +1,10 @@
-"""A pretended SICK scanner of drivers.sick_lms100.models: the other end of drivers.sick_lms100. No I/O.
+"""A fake SICK scanner of drivers.sick_lms100.models. No I/O.
 
 It answers the requests of third-party clients at their start-up (libLMS1xx, Clearpath's LMS1xx, MRPT,
 sick_scan_xd) in the order and form they need, and reproduces the behaviour of real ones: a port open before
-anything answers, one dialect and silence in the other, a login gate, half a minute lost to a new scan rate,
-an error flag on the first scans, a motor that turns a little slower than it states, a clock that drifts and
-wraps.
+anything answers, one dialect and no answer in the other, a login, no scans for half a minute after a new
+scan rate, an error flag on the first scans, a motor that turns a little slower than it states, a clock that
+drifts and wraps.
 """
 
 from collections import Counter, deque
@@ -176,7 +176,7 @@ class FakeLms100:
         return STATE_MEASURING if now_ns >= self._turning_since_ns else STATE_SPINNING_UP
 
     def restart(self, now_ns: int) -> None:
-        """Off and on again. Nothing is in its flash: it comes back as it left the factory."""
+        """Off and on again. It has no flash: its settings are those of the factory."""
         self._forget_client()
         self._decoder = Decoder()
         self._take_factory_settings()
@@ -364,7 +364,7 @@ class FakeLms100:
         }
 
     def _write_outputs(self, w: Writer, now_ns: int) -> None:
-        """The LMS1xx's layout: 3 outputs of its own, 8 that are not there."""
+        """The LMS1xx's layout: 3 outputs of its own, 8 absent ones."""
         w.u16(1)
         w.u32(self._clock_us(now_ns))
         for state, changes in ((0, 0), (0, 0), (1, self._output_changes), *((2, 0),) * 8):

@@ -1,4 +1,4 @@
-"""What the optics of a pretended LMS100 saw, as the channels of its scan telegram. No I/O."""
+"""The sweeps of a fake LMS100 as the channels of its scan telegram. No I/O."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ def channels_of(
 ) -> tuple[Channels, Channels]:
     """Channels of 16 and of 8 bits. scale in mm per digit; beyond reach_m there is no echo.
 
-    A second echo is there where the layout wants it, and has seen nothing.
+    Where the layout has a second echo, all of it is empty.
     """
     digits = np.nan_to_num(sweep.range_m, nan=0.0) * (1000.0 / scale)
     seen = (digits >= FIRST_RANGE_CODE) & (sweep.range_m <= reach_m)

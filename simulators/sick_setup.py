@@ -1,4 +1,4 @@
-"""What a pretended SICK scanner is: its model, and the state in which it is switched on. No I/O."""
+"""What a fake SICK scanner is: its model, and the state in which it is switched on. No I/O."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from drivers.sick_lms100.telegrams import OutputRange, ScanConfig, ScanDataConfi
 
 
 class Traits(NamedTuple):
-    """What the driver need not know of a model."""
+    """Properties of a model that the driver does not use."""
 
     ident: str  # DeviceIdent
     reach_m: float
@@ -37,8 +37,8 @@ class Lms100Setup:
     scan_data: ScanDataConfig = field(default_factory=lambda: ScanDataConfig(1, False, False))
     measuring: bool = True  # as after a power-up long ago
     serial_number: int = 18_090_362
-    boot_ns: int = 0  # the port is open but nothing answers
-    start_delay_ns: int = 200_000_000  # from standing still to measuring; a real one takes seconds
+    boot_ns: int = 0  # the port is open but the device does not answer
+    start_delay_ns: int = 200_000_000  # from standstill to measuring; a real one takes seconds
     reconfigure_delay_ns: int = 300_000_000  # a real one takes 30 s
     first_writes_refused: int = 0  # with error 4, as after power-up
     refused: frozenset[str] = frozenset()  # settings by their names; V1.23 denies LMPoutputRange (error A)

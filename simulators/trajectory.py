@@ -21,7 +21,7 @@ STEP_M = 0.005  # path samples while it is being shaped
 EASE_M = 0.3  # curvature ramps over twice this distance: a moving mean of this width, applied twice
 SAME_POSE = 1e-6  # m and rad; a drive that repeats ends where it began
 
-WAY, X, Y, THETA, SPEED, TURN_RATE = range(6)  # columns of a node
+PATH_LENGTH, X, Y, THETA, SPEED, TURN_RATE = range(6)  # columns of a node
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class Trajectory:
 
     @property
     def length_m(self) -> float:
-        return float(self.nodes[-1, WAY])
+        return float(self.nodes[-1, PATH_LENGTH])
 
     @property
     def start(self) -> SE2:
@@ -88,14 +88,14 @@ class Trajectory:
         index, share, _ = self._locate(time_s)
         here, there = self.nodes[index], self.nodes[index + 1]
         u = share[:, None]
-        slope = (there[:, [WAY, THETA]] - here[:, [WAY, THETA]]) * (6 * u * (1 - u) / NODE_S)
+        slope = (there[:, [PATH_LENGTH, THETA]] - here[:, [PATH_LENGTH, THETA]]) * (6 * u * (1 - u) / NODE_S)
         slope += here[:, SPEED:] * (1 - 4 * u + 3 * u**2) + there[:, SPEED:] * (3 * u**2 - 2 * u)
         return slope * self._moving(time_s)[:, None]
 
     def travel(self, time_s: Floats) -> Floats:
         """(N, 2) distance driven m and angle turned rad since the drive began."""
         values = self._interpolate(time_s)
-        return np.column_stack([values[:, WAY], values[:, THETA] - self.nodes[0, THETA]])
+        return np.column_stack([values[:, PATH_LENGTH], values[:, THETA] - self.nodes[0, THETA]])
 
     def seen_from(self, frame: SE2) -> "Trajectory":
         """The same drive with `frame` as the origin."""
@@ -126,7 +126,7 @@ class Trajectory:
         u = share[:, None]
         values = here[:, :4] + (there[:, :4] - here[:, :4]) * (u * u * (3 - 2 * u))
         values += _slopes(here) * (NODE_S * u * (1 - u) ** 2) - _slopes(there) * (NODE_S * u * u * (1 - u))
-        values[:, WAY] += laps * self.nodes[-1, WAY]
+        values[:, PATH_LENGTH] += laps * self.nodes[-1, PATH_LENGTH]
         values[:, THETA] += laps * (self.nodes[-1, THETA] - self.nodes[0, THETA])
         return values
 
@@ -186,12 +186,12 @@ def _check_closed(nodes: Floats) -> None:
 
 def _spin(begin: Floats, turn_rad: float, limits: Limits) -> Floats:
     """Nodes of a turn on the spot with a trapezoid of turn rate; the first is `begin`."""
-    way = abs(turn_rad)
-    if way < 1e-12:
+    angle_rad = abs(turn_rad)
+    if angle_rad < 1e-12:
         return begin[None, :]
-    rate = min(limits.turn_rate_radps, math.sqrt(way * limits.turn_acceleration_radps2))
+    rate = min(limits.turn_rate_radps, math.sqrt(angle_rad * limits.turn_acceleration_radps2))
     ramp_s = rate / limits.turn_acceleration_radps2
-    total_s = way / rate + ramp_s
+    total_s = angle_rad / rate + ramp_s
     time_s, pace = _integer_nodes(total_s)
     rates = rate * np.clip(np.minimum(time_s, total_s - time_s) / ramp_s, 0.0, 1.0)
     turned = np.where(
@@ -200,7 +200,7 @@ def _spin(begin: Floats, turn_rad: float, limits: Limits) -> Floats:
         np.where(
             time_s < total_s - ramp_s,
             rate * (time_s - ramp_s / 2),
-            way - rate * (total_s - time_s) ** 2 / (2 * ramp_s),
+            angle_rad - rate * (total_s - time_s) ** 2 / (2 * ramp_s),
         ),
     )
     nodes = np.repeat(begin[None, :], len(time_s), axis=0)
@@ -221,7 +221,7 @@ def _shape(
     """(K, 2) samples of the waypoints with rounded corners; curvature is continuous."""
     vertices = np.array([begin, *points])
     if (np.hypot(*np.diff(vertices, axis=0).T) < SAME_POSE).any():
-        raise ValueError(f"two way points in a row are the same: {vertices.tolist()}; the first is the start")
+        raise ValueError(f"two waypoints in a row are the same: {vertices.tolist()}; the first is the start")
     segments, where, spare_m = [], vertices[0], 0.0
     for before, corner, after in zip(vertices[:-2], vertices[1:-1], vertices[2:], strict=True):
         ahead, onward = _unit(corner - before), _unit(after - corner)
@@ -262,15 +262,15 @@ def _line(begin: Floats, end: Floats) -> Floats:
     return line
 
 
-def _path(path: Floats) -> Floats:
+def _path_length_m(path: Floats) -> Floats:
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
 
 
 def _even(path: Floats) -> Floats:
     """Resampled at equal steps."""
-    way = _path(path)
-    even = np.linspace(0.0, way[-1], math.ceil(way[-1] / STEP_M) + 1)
-    return np.column_stack([np.interp(even, way, path[:, 0]), np.interp(even, way, path[:, 1])])
+    length_m = _path_length_m(path)
+    even = np.linspace(0.0, length_m[-1], math.ceil(length_m[-1] / STEP_M) + 1)
+    return np.column_stack([np.interp(even, length_m, path[:, 0]), np.interp(even, length_m, path[:, 1])])
 
 
 def _ease(path: Floats) -> Floats:
@@ -289,40 +289,40 @@ def _ease(path: Floats) -> Floats:
 
 def _follow(begin: Floats, path: Floats, limits: Limits) -> Floats:
     """Nodes of a drive along `path` as fast as the limits allow; the first is `begin`."""
-    way = _path(path)
-    tangent = np.gradient(path, way, axis=0)
+    length_m = _path_length_m(path)
+    tangent = np.gradient(path, length_m, axis=0)
     theta = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     theta += round((begin[THETA] - theta[0]) / (2 * math.pi)) * 2 * math.pi
-    curvature = np.gradient(theta, way)
-    square = _squared_speed(way, np.abs(curvature), limits)
+    curvature = np.gradient(theta, length_m)
+    square = _squared_speed(length_m, np.abs(curvature), limits)
     speed = np.sqrt(square)
-    time_s = np.concatenate([[0.0], np.cumsum(2 * np.diff(way) / (speed[1:] + speed[:-1]))])
+    time_s = np.concatenate([[0.0], np.cumsum(2 * np.diff(length_m) / (speed[1:] + speed[:-1]))])
 
     node_s, pace = _integer_nodes(time_s[-1])
-    index = np.clip(np.searchsorted(time_s, node_s, side="right") - 1, 0, len(way) - 2)
+    index = np.clip(np.searchsorted(time_s, node_s, side="right") - 1, 0, len(length_m) - 2)
     elapsed_s = node_s - time_s[index]
-    acceleration = (square[index + 1] - square[index]) / (2 * (way[index + 1] - way[index]))
-    node_path = way[index] + elapsed_s * (speed[index] + acceleration * elapsed_s / 2)
+    acceleration = (square[index + 1] - square[index]) / (2 * (length_m[index + 1] - length_m[index]))
+    node_length_m = length_m[index] + elapsed_s * (speed[index] + acceleration * elapsed_s / 2)
     node_speed = pace * np.maximum(speed[index] + acceleration * elapsed_s, 0.0)
     return np.column_stack(
         [
-            begin[WAY] + node_path,
-            np.interp(node_path, way, path[:, 0]),
-            np.interp(node_path, way, path[:, 1]),
-            np.interp(node_path, way, theta),
+            begin[PATH_LENGTH] + node_length_m,
+            np.interp(node_length_m, length_m, path[:, 0]),
+            np.interp(node_length_m, length_m, path[:, 1]),
+            np.interp(node_length_m, length_m, theta),
             node_speed,
-            node_speed * np.interp(node_path, way, curvature),
+            node_speed * np.interp(node_length_m, length_m, curvature),
         ]
     )
 
 
-def _squared_speed(way: Floats, curvature: Floats, limits: Limits) -> Floats:
+def _squared_speed(length_m: Floats, curvature: Floats, limits: Limits) -> Floats:
     """Highest speed squared at each sample: limits in the corner, braking before it, rest at both ends."""
     bend = np.maximum(curvature, 1e-9)
     square = np.minimum(limits.speed_mps**2, (limits.turn_rate_radps / bend) ** 2)
     square = np.minimum(square, limits.lateral_mps2 / bend)
     square[0] = square[-1] = 0.0
-    gain = 2 * limits.acceleration_mps2 * way
+    gain = 2 * limits.acceleration_mps2 * length_m
     square = np.minimum.accumulate(square - gain) + gain
     square = (np.minimum.accumulate((square + gain)[::-1])[::-1]) - gain
     return np.maximum(square, 0.0)

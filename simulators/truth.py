@@ -20,7 +20,7 @@ from simulators.trajectory import Floats
 from simulators.world import PERSON_REFLECTIVITY, World
 
 BISECTIONS = 7  # find an edge inside a beam's footprint to 1/128 of it
-GLASS_COSINE = 0.985  # a pane sends light back when it is met within 10 deg of squarely
+GLASS_COSINE = 0.985  # a pane reflects where the incidence is within 10 deg of perpendicular
 CABINET_LOST, CABINET_BEHIND = 0.7, 0.2  # shares of the beams on a glass cabinet; the others see its front
 CABINET_DEPTH_M = (0.1, 1.0)  # how far behind its front a beam may come from
 MIXED_STEP_M = (0.05, 2.0)  # smaller is no step, larger is distinguished by the pulse
@@ -69,7 +69,7 @@ def noise_of(seed: int, sensor: str, moment: int) -> np.random.Generator:
 
 @dataclass(frozen=True, slots=True)
 class LaserModel:
-    """A laser's errors. A wall of reflectivity 0.1 seen squarely is found up to tenth_range_m."""
+    """A laser's errors. A wall of reflectivity 0.1 met at a right angle is measured up to tenth_range_m."""
 
     range_min_m: float
     range_max_m: float
@@ -102,7 +102,7 @@ IBEO_LUX = LaserModel(0.3, 200.0, tenth_range_m=50.0, sigma_m=0.04, quantum_m=0.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What there is to see in one sweep, before noise."""
+    """The noise-free returns of one sweep."""
 
     moment: int  # ns since the world began; places the noise
     true_m: Floats  # (N,) range of each beam, inf for none
@@ -150,7 +150,7 @@ class LaserTruth:
         return [self.measure(view, seed_of(self._seed, f"layer {k}")) for k in range(layer_count)]
 
     def view(self, beams: Beams) -> View:
-        """What there is to see in a sweep; the costly part, and the same for every seed."""
+        """The noise-free returns of a sweep; the costly part, and the same for every seed."""
         since_first_s = np.arange(beams.count, dtype=np.float64) * (beams.interval_ns * 1e-9)
         rays = self._rays(beams.first_ray_ns, since_first_s, beams.first_angle_rad, beams.step_rad)
         first_s = self._ride.drive_s(beams.first_ray_ns)
@@ -167,7 +167,7 @@ class LaserTruth:
         return View(moment, true_m, cosine, reflectivity, *steps, cabinet_beam)
 
     def measure(self, view: View, seed: int) -> Sweep:
-        """What the laser makes of a view, with the noise of that seed."""
+        """The sweep of a view, with the noise of that seed."""
         model, beam_count = self._model, len(view.true_m)
         noise = noise_of(seed, self._sensor, view.moment)
         true_m = view.true_m.copy()
@@ -175,7 +175,7 @@ class LaserTruth:
         mixed = chance[view.step_beam] < model.mixed_share
         beam = view.step_beam[mixed]
         true_m[beam] = view.step_from_m[mixed] + place[beam] * view.step_m[mixed]
-        lost = self._look_into_cabinets(view, seed, true_m)
+        lost = self._return_from_cabinets(view, seed, true_m)
 
         with np.errstate(invalid="ignore"):
             echo = (
@@ -194,8 +194,8 @@ class LaserTruth:
             np.where(seen, np.clip(brightness, 0.0, 1.0), 0.0).astype(np.float32),
         )
 
-    def _look_into_cabinets(self, view: View, seed: int, true_m: Floats) -> npt.NDArray[np.int64]:
-        """Move some of the beams on glass cabinets behind their fronts, in place; gives those lost."""
+    def _return_from_cabinets(self, view: View, seed: int, true_m: Floats) -> npt.NDArray[np.int64]:
+        """Move some returns on glass cabinets behind their fronts, in place. Gives the beams lost."""
         noise = noise_of(seed, f"{self._sensor} cabinets", view.moment)
         chance, place = noise.random((2, len(view.cabinet_beam)))
         behind = chance < CABINET_BEHIND
@@ -292,7 +292,7 @@ class LaserTruth:
         left_m = self._cast(ray, moving)[0]
         ray[:, 2] = rays[edge, 2] + right
         right_m = self._cast(ray, moving)[0]
-        with np.errstate(invalid="ignore"):  # both sides may be out of sight: inf - inf
+        with np.errstate(invalid="ignore"):  # both sides may be beyond the range: inf - inf
             step_m = right_m - left_m
             mixed = (np.abs(step_m) > MIXED_STEP_M[0]) & (np.abs(step_m) < MIXED_STEP_M[1])
         share = (half - left) / model.divergence_rad
@@ -352,9 +352,7 @@ class WheelTruth:
         self._slip_m = np.zeros((1, 2))  # summed at each step since departure, left and right
 
     def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
-        """Path length rolled by the left and the right wheel since the world began, m; backwards counts
-        down.
-        """
+        """Path length rolled by the left and the right wheel since the world began, m; negative backwards."""
         time_s = max(0.0, self._ride.drive_s(now_ns))
         place = time_s / SLIP_STEP_S
         step = int(place)

@@ -1,4 +1,4 @@
-"""A vehicle full of fake devices: from `front=sick_lms100:port=2111` to a device on a wire."""
+"""A vehicle of fake devices: from `front=sick_lms100:port=2111` to a device on a wire."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -87,11 +87,11 @@ class FakeVehicle:
         return {name: wire.device for name, wire in self.wires.items()}
 
     def afflict(self, faults: Sequence[Fault], seed: int, zero_ns: int) -> None:
-        """Give each device its faults, timed from host time zero_ns. To be done before it is entered."""
+        """Give each device its faults, timed from host time zero_ns. Call it before it is entered."""
         for name, device in self.devices.items():
             own = [fault for fault in faults if fault.device == name]
             if own:
-                assert not isinstance(device, ManyClients), "refused by whoever read the faults"
+                assert not isinstance(device, ManyClients), "refused when the faults were read"
                 self.wires[name].device = Faulty(device, own, seed_of(seed, f"faults of {name}"), zero_ns)
 
     def fault_counters(self) -> dict[str, dict[str, int]]:
@@ -101,7 +101,7 @@ class FakeVehicle:
         }
 
     def losses(self) -> dict[str, dict[str, int]]:
-        """What was lost on this side so far, by device: turns that this process came too late for, and
+        """Losses of the simulation so far, by device: turns that this process was too late for, and
         messages that the reader was too slow for."""
         found = {}
         for name, wire in self.wires.items():
@@ -116,7 +116,7 @@ class FakeVehicle:
         with ExitStack() as stack:
             for name, wire in self.wires.items():
                 if isinstance(wire, PtyWire) and isinstance(wire.device, Faulty) and wire.link is None:
-                    # each time it is plugged in it is another terminal; a name that stays leads there
+                    # each plugging in makes another terminal; the link's name stays
                     folder = stack.enter_context(TemporaryDirectory(prefix="corridor-"))
                     wire.link = Path(folder) / name
                 try:

@@ -2,8 +2,8 @@
 
     wire = TcpWire(FakeLms100(...))
     with wire as (host, port):
-        ...             # a driver connects, talks, goes, comes again
-        wire.cut()      # clients are reset and the port refuses, as when the device loses power
+        ...             # a driver connects, communicates, disconnects, connects again
+        wire.cut()      # clients are reset and the port refuses, as at a loss of power
         wire.restore()  # the same port again
 
 The wire knows no protocol. It hands bytes and the host's monotonic time to the device and writes what the
@@ -33,16 +33,16 @@ log = logging.getLogger(__name__)
 
 READ_BYTES = 65_536
 BACKLOG_BYTES = 256 * 1024  # unsent bytes beyond which a slow reader loses messages
-SEND_BUFFER_BYTES = 128 * 1024  # what the kernel may hide from us, TCP only
+SEND_BUFFER_BYTES = 128 * 1024  # bytes that the kernel may buffer, TCP only
 MESSAGES_A_ROUND = 32  # due() calls before the wire looks at its clients again
-PTY_LOOK_NS = 10_000_000  # how often a pseudo terminal without a client is looked at
+PTY_POLL_NS = 10_000_000  # how often a pseudo terminal without a client is polled
 DROPPED = "messages_dropped_slow_reader"  # name of a counter
 STOP_TIMEOUT_S = 5.0
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # SO_LINGER on, 0 s: RST instead of FIN
 
 
 class _PeerGoneError(Exception):
-    """A write found no one at the other end."""
+    """The client has closed the connection."""
 
 
 class _Client:
@@ -75,7 +75,7 @@ class _Client:
         del self.unsent[:written]
 
     def read(self) -> bytes | None:
-        """Bytes that are there, b"" if there are none, None if the peer has gone."""
+        """The bytes received, b"" if there are none, None if the peer has disconnected."""
         try:
             return os.read(self.fd, READ_BYTES) or None
         except BlockingIOError:
@@ -124,12 +124,12 @@ class _Wire(ABC):
     def cut(self) -> None:
         """Unplug: clients get an error, and there is nothing to open until restore()."""
         self._stop()
-        self._pull()
+        self._unplug()
 
     def close(self) -> None:
         """End for good. Raises what the device raised in the wire's thread, if it did."""
         self._stop()
-        self._go()
+        self._close_port()
         if self.failure is not None:
             failure, self.failure = self.failure, None
             raise failure
@@ -139,14 +139,14 @@ class _Wire(ABC):
 
     @abstractmethod
     def _plug_in(self) -> None:
-        """Nothing where it is plugged in."""
+        """Does nothing where it is plugged in."""
 
     @abstractmethod
-    def _pull(self) -> None: ...
+    def _unplug(self) -> None: ...
 
     @abstractmethod
-    def _go(self) -> None:
-        """Leave in good order."""
+    def _close_port(self) -> None:
+        """Close the clients and the port."""
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -159,7 +159,7 @@ class _Wire(ABC):
         try:
             while self._round():
                 pass
-        except BaseException as error:  # kept for close(): a thread has no one to raise to
+        except BaseException as error:  # for close(), which raises it
             log.exception("%s: fake device failed", self.name)
             self.failure = error
             self._drop_all()
@@ -169,19 +169,19 @@ class _Wire(ABC):
         now_ns = time.monotonic_ns()
         if self._plug is not None and self._plug.plugged(now_ns) != self._is_plugged():
             if self._is_plugged():
-                self._pull()
+                self._unplug()
             else:
                 self._plug_in()
         due_ns = self._earliest_ns(now_ns)
         timeout_s = None if due_ns is None else max(0, due_ns - now_ns) * 1e-9
-        reading = [self._wake_read, *self._doors(), *(client.fd for client in self._clients)]
+        reading = [self._wake_read, *self._listening(), *(client.fd for client in self._clients)]
         writing = [client.fd for client in self._clients if client.unsent]
         readable, writable, _ = select.select(reading, writing, [], timeout_s)
         if self._wake_read in readable:
             return False
         for client in list(self._clients):
             self._serve(client, client.fd in readable, client.fd in writable)
-        self._look_for_clients(readable)
+        self._accept_clients(readable)
         return True
 
     def _serve(self, client: _Client, readable: bool, writable: bool) -> None:
@@ -200,7 +200,7 @@ class _Wire(ABC):
             self._drop(client)
 
     def _receive(self, client: _Client) -> bool:
-        """Read once and answer; False if the client went."""
+        """Read once and answer; False if the client has disconnected."""
         data = client.read()
         if data is None:
             self._drop(client)
@@ -236,11 +236,11 @@ class _Wire(ABC):
             self._drop(client)
 
     @abstractmethod
-    def _doors(self) -> Sequence[int]:
-        """Descriptors that turn readable when someone comes."""
+    def _listening(self) -> Sequence[int]:
+        """Descriptors that become readable when a client connects."""
 
     @abstractmethod
-    def _look_for_clients(self, readable: Sequence[int]) -> None: ...
+    def _accept_clients(self, readable: Sequence[int]) -> None: ...
 
     @abstractmethod
     def _close_link(self, fd: int) -> None: ...
@@ -271,30 +271,30 @@ class TcpWire(_Wire):
             self.endpoint = self._server.getsockname()[:2]
             self.name = f"tcp {self.endpoint[0]}:{self.endpoint[1]}"
 
-    def _pull(self) -> None:
+    def _unplug(self) -> None:
         """Reset every client and stop listening: a new connection is refused."""
         for client in self._clients:
             with socket.socket(fileno=os.dup(client.fd)) as link:
                 link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
-        self._go()
+        self._close_port()
 
-    def _go(self) -> None:
-        if self._server is not None:  # first, so that whoever was dropped cannot come back meanwhile
+    def _close_port(self) -> None:
+        if self._server is not None:  # first, so that no dropped client can connect again
             self._server.close()
             self._server = None
         self._drop_all()
 
-    def _doors(self) -> Sequence[int]:
+    def _listening(self) -> Sequence[int]:
         return [] if self._server is None else [self._server.fileno()]
 
-    def _look_for_clients(self, readable: Sequence[int]) -> None:
+    def _accept_clients(self, readable: Sequence[int]) -> None:
         if self._server is None or self._server.fileno() not in readable:
             return
         try:
             link, _ = self._server.accept()
-        except OSError:  # it came and went
+        except OSError:  # it disconnected at once
             return
-        device = self._device_for_newcomer()
+        device = self._device_for_new_client()
         if device is None:
             self.counters["clients_refused"] += 1
             link.close()
@@ -303,10 +303,10 @@ class TcpWire(_Wire):
         link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         self._admit(link.detach(), device)
 
-    def _device_for_newcomer(self) -> FakeDevice | None:
+    def _device_for_new_client(self) -> FakeDevice | None:
         if isinstance(self.device, ManyClients):
             return self.device.new_client()
-        for client in list(self._clients):  # it may have left a moment ago: its FIN precedes this SYN
+        for client in list(self._clients):  # it may have disconnected just before: its FIN precedes this SYN
             for _ in range(MESSAGES_A_ROUND):
                 if client not in self._clients or not select.select([client.fd], [], [], 0)[0]:
                     break
@@ -318,8 +318,8 @@ class TcpWire(_Wire):
 
 
 class PtyWire(_Wire):
-    """A device behind a pseudo terminal. Entering it gives the path; opening that is connecting,
-    closing it is going.
+    """A device behind a pseudo terminal. Entering it gives the path; opening it connects,
+    closing it disconnects.
 
     A pseudo terminal has no baud rate and no modem lines: any rate a driver sets is accepted. With `link`
     the path is a symbolic link that survives a cut, as a udev name does; without, restore() may bring
@@ -350,19 +350,19 @@ class PtyWire(_Wire):
         tty.setraw(self._master)
         tty.setraw(slave)
         self._path = os.ttyname(slave)
-        os.close(slave)  # so that the master can see whether a client holds the other end
+        os.close(slave)  # so that the master detects whether a client has the slave open
         os.set_blocking(self._master, False)
         self.name = f"pty {self._path}"
         if self.link is not None:
-            if self.link.is_symlink():  # one of before; a file of anybody's own stays
+            if self.link.is_symlink():  # of an earlier run; other files stay
                 self.link.unlink()
             self.link.symlink_to(self._path)
 
-    def _pull(self) -> None:
-        """The path disappears and whoever holds it open reads an error."""
-        self._go()
+    def _unplug(self) -> None:
+        """The path disappears and a client that has it open reads an error."""
+        self._close_port()
 
-    def _go(self) -> None:
+    def _close_port(self) -> None:
         self._drop_all()
         if self._master >= 0:
             os.close(self._master)
@@ -371,24 +371,24 @@ class PtyWire(_Wire):
             self.link.unlink(missing_ok=True)
 
     def _earliest_ns(self, now_ns: int) -> int | None:
-        return super()._earliest_ns(now_ns) if self._clients else now_ns + PTY_LOOK_NS
+        return super()._earliest_ns(now_ns) if self._clients else now_ns + PTY_POLL_NS
 
-    def _doors(self) -> Sequence[int]:
+    def _listening(self) -> Sequence[int]:
         return []
 
-    def _look_for_clients(self, readable: Sequence[int]) -> None:
+    def _accept_clients(self, readable: Sequence[int]) -> None:
         if not self._clients and self._is_plugged() and not self._hung_up():
             assert not isinstance(self.device, ManyClients), "a terminal has one client"
             self._admit(self._master, self.device)
 
     def _hung_up(self) -> bool:
-        """Whether no one holds the other end."""
+        """Whether no client has the slave open."""
         poll = select.poll()
         poll.register(self._master, select.POLLIN)
         return any(events & select.POLLHUP for _, events in poll.poll(0))
 
     def _close_link(self, fd: int) -> None:
-        """Bytes that no one read are lost, as on a real line: those in transit, and those that are there."""
+        """Unread bytes are lost, as on a real line: those in transit and those received."""
         try:
             line = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError:  # the line was cut

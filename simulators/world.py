@@ -1,7 +1,7 @@
 """The truth: walls that reflect, people who walk, and the drive of the vehicle through them.
 
 A world's frame is the pose of the base before it starts, so the truth compares directly with a map whose
-frame is the first pose. Time is seconds since the drive began; people know negative times too.
+frame is the first pose. Time is seconds since the drive began; people have positions at negative times too.
 """
 
 import itertools
@@ -27,14 +27,14 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """A person who walks a round of points, stopping at each, over and over with a fixed period; before time
-    0 they stand at the first.
+    """A person who walks a round of points, stopping at each, again and again with a fixed period; before
+    time 0 the person stands at the first.
     """
 
     times_s: tuple[float, ...]  # rising from 0 to the period
     places: tuple[Point, ...]  # m, where the person is at these times; the last is the first
     radius_m: float = PERSON_RADIUS_M
-    from_s: float = -math.inf  # there is no one before, and
+    from_s: float = -math.inf  # the person is absent before, and
     to_s: float = math.inf  # from then on
 
     @property
@@ -49,7 +49,7 @@ class Walk:
         return x0 + share * (x1 - x0), y0 + share * (y1 - y0)
 
     def later(self, wait_s: float) -> "Walk":
-        """The same round, for which the person waits so long at the first place, each time."""
+        """The same round with a wait of wait_s at the first point, each time."""
         times_s = (0.0, *(time_s + wait_s for time_s in self.times_s))
         return replace(
             self,
@@ -100,10 +100,10 @@ class Mover:
     path: (
         Floats  # (N, 4) time s, rising, and x m, y m, theta rad (unwrapped) of its frame; straight in between
     )
-    from_s: float  # there is nothing before, and
+    from_s: float  # absent before, and
     to_s: float  # from then on
     reflectivity: float = 0.5
-    sensor: str | None = None  # the only one that sees it; None: each does
+    sensor: str | None = None  # the only one that it returns the beams of; None: all
 
     def ends(self, time_s: float) -> Floats:
         """(F, 4) of its faces at that time, m."""
@@ -119,25 +119,25 @@ class Mover:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Everything there is, in the frame of the vehicle's start."""
+    """All objects, in the frame of the vehicle's start."""
 
     name: str
     segments: Floats  # (S, 4) x0, y0, x1, y1, m
-    reflectivity: Floats  # (S,) 0..1, share of the light that comes back from a white (1) wall seen squarely
+    reflectivity: Floats  # (S,) 0..1, share of the light that returns from a white (1) wall at a right angle
     people: tuple[Walk, ...]
     drive: Trajectory
     grid_frame: Floats
     cell_span: npt.NDArray[np.int32]
     cell_items: npt.NDArray[np.int32]
-    glass: npt.NDArray[np.bool_]  # (S,) seen only squarely; else what is behind it
-    cabinet: npt.NDArray[np.bool_]  # (S,) glass with things close behind it: see truth.CABINET_LOST
+    glass: npt.NDArray[np.bool_]  # (S,) returns only beams at about a right angle; others pass
+    cabinet: npt.NDArray[np.bool_]  # (S,) glass with objects close behind it: see truth.CABINET_LOST
     movers: tuple[Mover, ...] = ()
 
     @cached_property
     def without_glass(self) -> "World":
-        """The same with nothing where the panes are."""
+        """The same without the panes."""
         segments = self.segments.copy()
-        segments[self.glass, 2:] = segments[self.glass, :2]  # without a length nothing hits it
+        segments[self.glass, 2:] = segments[self.glass, :2]  # without a length no beam hits it
         return replace(self, segments=segments)
 
     def discs(self, time_s: float, span_s: float) -> Floats:
@@ -205,7 +205,7 @@ def _seen_from(frame: SE2, points: Floats) -> Floats:
 
 
 class Plan:
-    """A drawing board for walls and furniture. Lengths in metres, angles in degrees."""
+    """Plan of walls and furniture. Lengths in metres, angles in degrees."""
 
     def __init__(self) -> None:
         self.segments: list[tuple[float, float, float, float]] = []
@@ -216,9 +216,9 @@ class Plan:
     def line(
         self, *points: Point, reflectivity: float = 0.6, glass: bool = False, cabinet: bool = False
     ) -> None:
-        """Thin surfaces from point to point; of glass they are seen only where a beam meets them squarely.
+        """Thin surfaces from point to point; of glass they return only beams at about a right angle.
 
-        cabinet: the front of a glass cabinet, of which most beams do not return and many from behind it.
+        cabinet: the front of a glass cabinet, of which most beams do not return and many from behind.
         """
         for (x0, y0), (x1, y1) in itertools.pairwise(points):
             self.segments.append((x0, y0, x1, y1))
@@ -227,20 +227,20 @@ class Plan:
             self.cabinet.append(cabinet)
 
     def box(self, centre: Point, size: Point, turn_deg: float = 0.0, reflectivity: float = 0.4) -> None:
-        """A rectangular thing: a cabinet, a desk's leg, a crate."""
+        """A rectangular object: a cabinet, a desk's leg, a crate."""
         c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
         half = [(size[0] * u / 2, size[1] * v / 2) for u, v in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))]
         corners = [(centre[0] + c * x - s * y, centre[1] + s * x + c * y) for x, y in half]
         self.line(*corners, reflectivity=reflectivity)
 
     def post(self, centre: Point, radius: float, reflectivity: float = 0.4) -> None:
-        """A round thing: a column, a plant pot."""
+        """A round object: a column, a plant pot."""
         angles = [2 * math.pi * k / POST_CORNERS for k in range(POST_CORNERS + 1)]
         rim = [(centre[0] + radius * math.cos(a), centre[1] + radius * math.sin(a)) for a in angles]
         self.line(*rim, reflectivity=reflectivity)
 
     def table(self, centre: Point, size: Point, turn_deg: float = 0.0) -> None:
-        """Four thin metal legs: what a laser at shin height sees of a table."""
+        """Four thin metal legs: the returns of a table at the height of a laser."""
         c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
         for u, v in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
             x, y = size[0] * u / 2, size[1] * v / 2

@@ -1,4 +1,4 @@
-"""A pretended MTi-G (MTData) or MTi-G-710 (MTData2): messages in and out, fed by an InertialSource.
+"""A fake MTi-G (MTData) or MTi-G-710 (MTData2): messages in and out, fed by an InertialSource.
 
 Sources: MT0101P; answers of real units in ethz-asl/ethzasl_xsens_driver issues 55 and 66, recordings of an
 MTi-G-710 in einride/xsens-go. Timing is real: samples on the grid of the device's own clock, a byte on the
@@ -34,7 +34,7 @@ BATCH = 20  # samples fetched from the truth at a time
 WAKE_UP_WINDOW_NS = 500_000_000
 GNSS_PERIOD_NS = 250_000_000
 FINE_TICK_NS = 100_000
-MAX_LAG_NS = 300_000_000  # of the line; what is later than that overflows the device's buffer
+MAX_LAG_NS = 300_000_000  # of the line; later data overflow the device's buffer
 FILTER_SETTLES_NS = 600_000_000
 ANY_STATE = (
     Mid.GO_TO_CONFIG,
@@ -53,7 +53,7 @@ def _legacy_codec(mode: int, settings: int) -> LegacyCodec:
 
 @dataclass(frozen=True, slots=True)
 class MtigSetup:
-    """How this unit was built, and what it remembers.
+    """Build and stored state of this unit.
 
     latency_ns       from the moment of a sample to its first byte on the line
     gnss_latency_ns  from the receiver's measurement to the first byte of its message
@@ -64,7 +64,7 @@ class MtigSetup:
     unsendable       kinds of MTData2 that it refuses to send
     utc_before_fix   what it sends for UTC before its first fix: the time it guesses, nothing (an MTi-G: no
                      date), no date, always the same
-    start_ticks      SampleTimeFine when the pretended world began; it is 0 after every reset
+    start_ticks      SampleTimeFine when the fake world began; it is 0 after every reset
     """
 
     personality: Personality = "mtdata2"
@@ -86,7 +86,7 @@ class MtigSetup:
 
 @dataclass(slots=True)
 class _Clock:
-    """The device's own, in ns since it was reset."""
+    """The device's clock, in ns since it was reset."""
 
     zero_ns: int  # host time of device time 0
     rate: float
@@ -102,8 +102,8 @@ class _Clock:
 class FakeMtiG:
     """One unit on one line. It has been on, and measuring by its settings, since the world began.
 
-    ignores_go_to_config  it hears no GoToConfig until it is reset, as one by USB was seen to do
-    settings        its flash: tests look and write here
+    ignores_go_to_config  it ignores GoToConfig until it is reset, as recorded of one by USB
+    settings              its flash, which tests read and write
     """
 
     source: InertialSource
@@ -116,7 +116,7 @@ class FakeMtiG:
     _decoder: MessageDecoder = field(default_factory=MessageDecoder)
     _line: deque[tuple[int, bytes]] = field(default_factory=deque)  # (last byte has left, message)
     _line_free_ns: int = 0
-    _clock: _Clock | None = None  # None: no one has looked at it yet
+    _clock: _Clock | None = None  # None: not read yet
     _start_ticks: int = 0
     _count: int = 0  # packet counter, or sample counter
     _next_sample: int = 0  # index on the device's grid
@@ -157,11 +157,11 @@ class FakeMtiG:
         self._put(encode(Mid.WARNING, struct.pack(">I", code) + text.encode("ascii")), now_ns)
 
     def lose_messages(self, count: int) -> None:
-        """The next data messages never come; their counter runs on."""
+        """The next data messages are not sent; their counter goes on."""
         self._lose += count
 
     def jump_clock(self, seconds: float) -> None:
-        """SampleTimeFine, or the sample counter, goes on from elsewhere."""
+        """SampleTimeFine, or the sample counter, jumps."""
         self._start_ticks += round(seconds * 1e9 / FINE_TICK_NS)
         self._count += round(seconds * 1e9 / self._period_ns) if self.settings.legacy else 0
 
@@ -170,13 +170,13 @@ class FakeMtiG:
 
     def connected(self, now_ns: int) -> bytes:
         self._begin(now_ns)
-        self._line.clear()  # what no one was there to hear
+        self._line.clear()  # data without a client are lost
         self._line_free_ns = min(self._line_free_ns, now_ns)
         self._skip(now_ns, 0)
         return b""
 
     def disconnected(self, now_ns: int) -> None:
-        """The device does not notice."""
+        """Nothing changes."""
 
     def receive_data(self, data: bytes, now_ns: int) -> bytes:
         self._begin(now_ns)
@@ -220,7 +220,7 @@ class FakeMtiG:
         return 1.0 + self.setup.clock_drift_ppm * 1e-6
 
     def _put(self, message: bytes, ready_ns: int) -> None:
-        """Behind what is in transit already."""
+        """After the data in transit."""
         baud = self.settings.baud
         begin_ns = max(ready_ns, self._line_free_ns)
         self._line_free_ns = begin_ns + (0 if baud is None else round(len(message) * 10e9 / baud))
@@ -264,7 +264,7 @@ class FakeMtiG:
         return self.setup.utc_at_start_ns + host_ns
 
     def _skip(self, now_ns: int, keep_ns: int) -> int:
-        """Leave out what is older than that; samples are counted on the wire all the same. How many."""
+        """Leave out data older than that, though samples are counted on the wire; returns their number."""
         if self.state != "measurement" or self._clock is None:
             return 0
         skipped = turns_to_skip(now_ns - self._host_ns(self._next_sample), self._period_ns, keep_ns)
@@ -275,7 +275,7 @@ class FakeMtiG:
         return skipped
 
     def _measure(self, now_ns: int) -> None:
-        """Put on the line what has become ready by now."""
+        """Put all data that are ready by now on the line."""
         if skipped := self._skip(now_ns, CATCH_UP_NS):
             self.counters[TURNS_SKIPPED] += skipped
         while self.state == "measurement":
@@ -292,9 +292,9 @@ class FakeMtiG:
     def _next_message(self) -> bytes:
         index = self._next_sample
         count, self._count = self._count, self._count + self._counts_a_message
-        felt, estimates, row = self._felt(index)
+        samples, estimates, row = self._sampled(index)
         estimate = None if self._place is None or estimates is None else estimates[row]
-        sample = self._sample(self._host_ns(index), count, felt, row, estimate)
+        sample = self._sample(self._host_ns(index), count, samples, row, estimate)
         if self.settings.legacy:
             codec = _legacy_codec(self.settings.mode, self.settings.output_settings)
             age = index - self._place_index
@@ -311,19 +311,19 @@ class FakeMtiG:
         identifiers = [identifier for identifier, _ in self.settings.output]
         if self.settings.legacy or Kind.GNSS_PVT not in identifiers:
             return
-        felt = Inertial(np.zeros((1, 3)), np.zeros((1, 3)), np.eye(3)[np.newaxis])
-        sample = self._sample(at_ns, self._count, felt, 0, None)
+        samples = Inertial(np.zeros((1, 3)), np.zeros((1, 3)), np.eye(3)[np.newaxis])
+        sample = self._sample(at_ns, self._count, samples, 0, None)
         self._count += 1
         every = [i for i, rate in self.settings.output if rate == EVERY_MESSAGE]
         self._emit(encode(Mid.MTDATA2, gnss_message(every, sample)), ready_ns)
 
-    def _felt(self, index: int) -> tuple[Inertial, list[Place] | None, int]:
-        """A batch of samples, what the filter makes of them, and the row of this one."""
+    def _sampled(self, index: int) -> tuple[Inertial, list[Place] | None, int]:
+        """A batch of samples, the filter's solutions, and the row of this sample."""
         if self._batch is None or not 0 <= index - self._batch[0] < BATCH:
             stamps_ns = np.array([self._host_ns(index + i) for i in range(BATCH)], dtype=np.int64)
             self._batch = (index, self.source.inertial(stamps_ns), self.source.estimates(stamps_ns))
-        first, felt, estimates = self._batch
-        return felt, estimates, index - first
+        first, samples, estimates = self._batch
+        return samples, estimates, index - first
 
     def _sample(
         self, host_ns: int, count: int, samples: Inertial, row: int, estimate: Place | None

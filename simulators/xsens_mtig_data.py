@@ -44,7 +44,7 @@ LOCAL_FROM_ENU = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """One moment as the device knows it."""
+    """State of the device at one moment."""
 
     ticks: int  # SampleTimeFine
     packet: int
@@ -170,7 +170,7 @@ def can_send(identifier: int) -> bool:
 
 
 def inertial_message(identifiers: list[int], sample: Sample) -> bytes:
-    """Data of an MTData2 message. What the filter or the receiver does not know yet is left out."""
+    """Data of an MTData2 message. Values that the filter or the receiver do not have yet are left out."""
     items = []
     for identifier in identifiers:
         kind = identifier & KIND_MASK
@@ -185,7 +185,7 @@ def inertial_message(identifiers: list[int], sample: Sample) -> bytes:
 
 
 def gnss_message(identifiers: list[int], sample: Sample) -> bytes:
-    """As real ones: the solution first, the times behind it, no status."""
+    """As of real ones: the solution first, then the times, no status."""
     items = [(int(Kind.GNSS_PVT), write_item(Kind.GNSS_PVT, solution(sample)))]
     for kind in (Kind.UTC, Kind.SAMPLE_TIME_FINE, Kind.PACKET_COUNTER):
         if kind in identifiers:
@@ -199,7 +199,7 @@ def itow_ms(utc_ns: int) -> int:
 
 
 def solution(sample: Sample) -> GnssPvt:
-    """What the receiver sends at this moment, a full 250 ms of UTC; without satellites as a real one does."""
+    """The receiver's solution at this moment, a full 250 ms of UTC; without satellites as of a real one."""
     p = sample.place
     if p is None:
         blank = GnssPvt._make([0] * len(GnssPvt._fields))

@@ -1,4 +1,4 @@
-"""The flash of a fake MTi-G or MTi-G-710: what it was set to, and its answers to requests."""
+"""The flash of a fake MTi-G or MTi-G-710: its settings and its answers to requests."""
 
 import struct
 from typing import Literal
@@ -115,7 +115,7 @@ class Refusal(Exception):  # noqa: N818 - it is an answer, not a fault of ours
 
 
 class DeviceSettings:
-    """What the unit keeps, over resets too. A new baud rate counts from the next power-up on."""
+    """Settings, kept over resets. A new baud rate is used from the next power-up on."""
 
     def __init__(
         self,
@@ -157,7 +157,7 @@ class DeviceSettings:
         self._work_out()
 
     def _work_out(self) -> None:
-        """What every sample requires, whenever a register or the output has changed.
+        """Compute the values below, after each change of a register or of the output.
 
         rate_hz     of MTData2 messages with samples; GNSS messages are apart
         period_ns   between two data messages with samples; of a unit that sends none, any
@@ -194,7 +194,7 @@ class DeviceSettings:
         self.baud = self._next_baud
 
     def write(self, mid: int, data: bytes) -> None:
-        """As if someone had set it before."""
+        """As if it had been set before."""
         self._registers[mid] = data
         self._work_out()
 

@@ -57,7 +57,7 @@ class ZenohWire:
             "mode": "router",
             "listen/endpoints": [f"tcp/{self.endpoint[0]}:{self.endpoint[1]}"],
             "scouting/gossip/enabled": True,
-            "adminspace/enabled": True,  # tells which port was free
+            "adminspace/enabled": True,  # reports which port was free
             "transport/shared_memory/enabled": False,
         }
         try:
@@ -83,7 +83,7 @@ class ZenohWire:
         )
 
     def cut(self) -> None:
-        """The router and the node are gone."""
+        """End the router and the node."""
         if self._thread is None or self._session is None:
             return
         self._stop.set()

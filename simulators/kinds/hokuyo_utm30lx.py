@@ -1,4 +1,4 @@
-"""The pretended Hokuyo laser as a type of device: its options, and how it comes to its wire."""
+"""The fake Hokuyo laser as a type of device: its options and its wire."""
 
 from pathlib import Path
 from typing import Literal, Self
@@ -16,7 +16,7 @@ OPTICS = {"utm_30lx": UTM30LX, "ust": UST, "urg_04lx_ug01": URG04LX}
 
 
 class Utm30lxOptions(LaserOptions):
-    """What may stand behind `hokuyo_utm30lx:`."""
+    """Options of `hokuyo_utm30lx:`."""
 
     model: ModelName = "utm_30lx"
     product: str = Field(default="", max_length=64)  # what it calls itself; "": as its model does

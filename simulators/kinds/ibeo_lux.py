@@ -1,4 +1,4 @@
-"""The pretended LUX as a type of device: its options, and how it comes to its wire."""
+"""The fake LUX as a type of device: its options and its wire."""
 
 from typing import Literal
 
@@ -13,7 +13,7 @@ from simulators.wire import TcpWire
 
 
 class LuxOptions(LaserOptions):
-    """What may stand behind `ibeo_lux:`."""
+    """Options of `ibeo_lux:`."""
 
     x_m: OffsetM = 0.25
     height_m: float | None = Field(default=None, gt=0.0)  # above ground, which the low layers then meet

@@ -1,4 +1,4 @@
-"""The pretended Create as a type of device: its options, and how it comes to its wire."""
+"""The fake Create as a type of device: its options and its wire."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +14,7 @@ from simulators.wire import PtyWire
 
 
 class CreateOptions(DeviceOptions):
-    """What may stand behind `irobot_create:`."""
+    """Options of `irobot_create:`."""
 
     model: Literal["create1", "create2", "roomba"] = "create2"
     link: Path | None = None  # a symbolic link to the terminal, a name that stays

@@ -1,4 +1,4 @@
-"""A pretended ROS 2 node with an inertial unit as a type of device: options, and how it comes to its wire."""
+"""A fake ROS 2 node with an inertial unit as a type of device: its options and its wire."""
 
 import numpy as np
 from pydantic import Field
@@ -14,7 +14,7 @@ from simulators.zenoh_wire import ZenohWire
 
 
 class ImuOptions(NodeOptions, MountedOptions):
-    """What may stand behind `ros2_imu:`."""
+    """Options of `ros2_imu:`."""
 
     rate_hz: float = Field(default=100.0, gt=0.0, le=400.0)
 

@@ -1,4 +1,4 @@
-"""Pretended ROS 2 nodes with a laser, wheels or an inertial unit: the options all share, and their wire."""
+"""Fake ROS 2 nodes with a laser, wheels or an inertial unit: the options all share, and their wire."""
 
 from typing import Annotated
 
@@ -11,7 +11,7 @@ from simulators.zenoh_wire import ZenohWire
 
 
 class NodeOptions(DeviceOptions):
-    """What may stand behind each of the types."""
+    """Options of all types."""
 
     host: str = "127.0.0.1"
     port: int = Field(default=0, ge=0, le=65535)  # of its router; 0: any free

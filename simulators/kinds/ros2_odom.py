@@ -1,4 +1,4 @@
-"""A pretended ROS 2 node with wheels as a type of device: its options, and how it comes to its wire."""
+"""A fake ROS 2 node with wheels as a type of device: its options and its wire."""
 
 from pydantic import Field
 
@@ -17,7 +17,7 @@ VARIANCE = 1e-3  # m^2, rad^2 on the diagonal, as drivers write it that do not k
 
 
 class OdomOptions(NodeOptions):
-    """What may stand behind `ros2_odom:`."""
+    """Options of `ros2_odom:`."""
 
     rate_hz: float = Field(default=50.0, gt=0.0, le=200.0)
 

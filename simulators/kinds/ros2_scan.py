@@ -1,4 +1,4 @@
-"""A pretended ROS 2 node with a laser as a type of device: its options, and how it comes to its wire."""
+"""A fake ROS 2 node with a laser as a type of device: its options and its wire."""
 
 import math
 
@@ -19,7 +19,7 @@ RANGE_MIN_M, RANGE_MAX_M = 0.05, 20.0
 
 
 class ScanOptions(NodeOptions, LaserOptions):
-    """What may stand behind `ros2_scan:`."""
+    """Options of `ros2_scan:`."""
 
     rate_hz: float = Field(default=25.0, gt=0.0, le=100.0)
 

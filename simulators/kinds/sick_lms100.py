@@ -1,4 +1,4 @@
-"""The pretended SICK scanner as a type of device: its options, and how it comes to its wire."""
+"""The fake SICK scanner as a type of device: its options and its wire."""
 
 from typing import Literal
 
@@ -15,7 +15,7 @@ OPTICS = {"lms1xx": LMS100, "lms5xx": LMS500, "tim5xx": TIM500, "tim7xx": TIM500
 
 
 class Lms100Options(LaserOptions):
-    """What may stand behind `sick_lms100:`."""
+    """Options of `sick_lms100:`."""
 
     model: ModelName = "lms1xx"
     ident: str = Field(default="", max_length=32)  # what it calls itself; "": as its model does

@@ -1,4 +1,4 @@
-"""The pretended MTi-G as a type of device: its options, and how it comes to its wire."""
+"""The fake MTi-G as a type of device: its options and its wire."""
 
 import math
 from pathlib import Path
@@ -14,7 +14,7 @@ from simulators.xsens_mtig import FakeMtiG, MtigSetup, Personality
 
 
 class MtigOptions(MountedOptions):
-    """What may stand behind `xsens_mtig:`."""
+    """Options of `xsens_mtig:`."""
 
     personality: Personality = "mtdata2"  # MTi-G-710; legacy: MTi-G
     link: Path | None = None  # a symbolic link to the terminal, a name that stays

@@ -33,7 +33,7 @@ WORLDS: dict[str, Callable[[], World]] = {
 
 
 def build_world(name: str) -> World:
-    """Raises ValueError for a name that is not there."""
+    """Raises ValueError for an unknown name."""
     try:
         return WORLDS[name]()
     except KeyError:

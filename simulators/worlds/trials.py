@@ -1,4 +1,4 @@
-"""Places and drives that are hard for one reason each: turns, crowds, glass, no geometry to match."""
+"""Places and drives with one difficulty each: turns, crowds, glass, no geometry to match."""
 
 import math
 
@@ -11,12 +11,12 @@ from simulators.worlds.office import LAP, START, office_plan
 
 ROOM_M = 10.0
 START_XY = (START.x_m, START.y_m)
-STEP_S = 0.2  # people in a crowd are sent on so often
-LEAVING_S, AWAY_S = 12.0, 25.0  # the crowd walks off before the end of a lap, and stays away
+STEP_S = 0.2  # between two positions of a person in a crowd
+LEAVING_S, AWAY_S = 12.0, 25.0  # the crowd leaves so long before the end of a lap, for so long
 
 
 def room() -> World:
-    """A bare square, the vehicle standing in its middle: what one scan can tell is known in closed form."""
+    """A bare square, the vehicle in its middle: the information of one scan is known in closed form."""
     plan = Plan()
     half = ROOM_M / 2.0
     plan.line((-half, -half), (half, -half), (half, half), (-half, half), (-half, -half))
@@ -43,7 +43,7 @@ def spins() -> World:
 
 
 def stop_and_go() -> World:
-    """The office, coming to a stand every two metres or so."""
+    """The office, stopping every two metres or so."""
     legs: list[Leg] = []
     here = np.array(START_XY)
     for corner in np.array(LAP):
@@ -57,7 +57,7 @@ def stop_and_go() -> World:
 
 
 def crowd() -> World:
-    """A hall of 20 x 14 m; five people walk within 3 m of the vehicle, then leave it standing."""
+    """A hall of 20 x 14 m; five people walk within 3 m of the vehicle, then leave."""
     plan = Plan()
     corners = [(0.0, 0.0), (20.0, 0.0), (20.0, 14.0), (0.0, 14.0)]
     for k in range(4):
@@ -73,7 +73,7 @@ def crowd() -> World:
 
 
 def _companion(drive: Trajectory, number: int, ahead_m: float, left_m: float) -> Walk:
-    """Keeps about this place beside the vehicle, walks off into a corner while it stands, and comes back."""
+    """Stays about there beside the vehicle, walks into a corner while it stands, and returns."""
     along_s = np.arange(0.0, drive.duration_s - AWAY_S - LEAVING_S, STEP_S)
     x, y, theta = drive.poses(along_s).T
     ahead = ahead_m + 0.25 * np.sin(0.9 * along_s + number)

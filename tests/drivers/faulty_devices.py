@@ -31,7 +31,7 @@ ZERO_NS = 1_000 * SECOND_NS
 
 @dataclass(frozen=True)
 class Bench:
-    """How to make the pretended device and its driver's sessions, and what to expect of them.
+    """How to make the fake device and its driver's sessions, and what to expect of them.
 
     sessions     now_ns of the link -> what makes a session
     has_clock    the device shows one

@@ -1,4 +1,4 @@
-"""A table for tests: a session and a pretended robot, face to face, and time passed by hand."""
+"""A table for tests: a session and a fake robot, face to face, and time passed by hand."""
 
 import itertools
 import math

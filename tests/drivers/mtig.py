@@ -1,4 +1,4 @@
-"""For tests: a pretended ride that tells the time by its rates, and talks with a fake MTi-G."""
+"""For tests: a fake ride that tells the time by its rates, and talks with a fake MTi-G."""
 
 import math
 from collections.abc import Callable

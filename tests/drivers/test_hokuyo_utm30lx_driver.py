@@ -1,4 +1,4 @@
-"""The session against the pretended device in virtual time: start-up from any state, frames, faults."""
+"""The session against the fake device in virtual time: start-up from any state, frames, faults."""
 
 import math
 from dataclasses import replace

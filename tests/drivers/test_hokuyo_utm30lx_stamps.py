@@ -1,4 +1,4 @@
-"""Stamps of the whole driver against the moments the pretended mirror really passed its first beam."""
+"""Stamps of the whole driver against the moments the fake mirror really passed its first beam."""
 
 from itertools import product
 

@@ -14,7 +14,7 @@ TICK_NS = 20_000_000
 SECOND_NS = 1_000_000_000
 
 
-def said_until(device: FakeDevice, now_ns: int, end_ns: int) -> Iterator[tuple[int, bytes]]:
+def sent_until(device: FakeDevice, now_ns: int, end_ns: int) -> Iterator[tuple[int, bytes]]:
     """What leaves a device from now on, with its times."""
     while (due_ns := device.next_due_ns(now_ns)) is not None and due_ns <= end_ns:
         now_ns = max(now_ns, due_ns)

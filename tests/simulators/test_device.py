@@ -1,4 +1,4 @@
-"""What every fake device does when its process got no processor for a while."""
+"""Every fake device after its process got no processor for a time."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from tests.drivers.virtual_time import SECOND_NS, Talk
 from tests.soaked import in_soak
 
 SHORT = ("lms100 cola_a", "utm30lx usb", "lux", "mtig mtdata2", "create2")  # one of each kind
-BY_TURNS = [  # without create1, which speaks when it is asked
+BY_TURNS = [  # without create1, which sends only on request
     name if name in SHORT else in_soak(name) for name in BENCHES if name != "create1"
 ]
 
@@ -25,14 +25,14 @@ def _streaming(name: str) -> Talk:
 
 
 def _missed(talk: Talk) -> int:
-    """By the driver's own counting: what each kind of stream calls its loss."""
+    """By the driver's counters of lost measurements."""
     counters = talk.session.counters
     return sum(counters[name] for name in ("scans_missed", "samples_missed", "frames_missed"))
 
 
 @pytest.mark.parametrize("name", BY_TURNS)
 def test_a_starved_device_sends_every_turn_late_and_after_more_than_a_second_skips_turns(name: str):
-    """Those it sends have their right time; its driver counts as many as it skips."""
+    """Those sent have their right time; the driver counts as many lost as are skipped."""
     talk = _streaming(name)
     device: Any = talk.device
     for _ in range(2):
@@ -49,5 +49,7 @@ def test_a_starved_device_sends_every_turn_late_and_after_more_than_a_second_ski
     talk.now_ns += 2 * SECOND_NS
     talk.run(2.0)
     assert device.counters[TURNS_SKIPPED] == pytest.approx(2 * rate_hz, abs=0.05 * rate_hz + 1)
-    if name != "create2":  # its frames carry neither number nor time: lost and held back look the same
+    if (
+        name != "create2"
+    ):  # its frames have neither number nor time: lost and late ones cannot be distinguished
         assert _missed(talk) == device.counters[TURNS_SKIPPED]

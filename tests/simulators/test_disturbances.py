@@ -1,4 +1,4 @@
-"""People and trains go where the vehicle goes, a floor stays ahead of it, wheels slip for their time."""
+"""Motion of people, trains and the visible floor with the vehicle, and slip of the wheels."""
 
 import math
 from dataclasses import replace
@@ -87,10 +87,10 @@ def test_wheels_slip_for_their_time(world: World) -> None:
     true_m = world.drive.travel(np.array([1.5, 2.0, 5.0, 6.0]))[:, 0]
     path_length_m = true_m[2] - true_m[1]
 
-    def way(wheels: WheelTruth, time_s: float) -> float:
+    def distance_m(wheels: WheelTruth, time_s: float) -> float:
         return sum(wheels.wheel_travel_m(round(time_s * 1e9))) / 2.0
 
-    assert way(frozen, 1.5) == pytest.approx(true_m[0])
-    assert way(frozen, 3.0) == pytest.approx(true_m[1])
-    assert way(frozen, 6.0) == pytest.approx(true_m[3] - path_length_m)
-    assert way(spinning, 6.0) == pytest.approx(true_m[3] + 0.5 * path_length_m)
+    assert distance_m(frozen, 1.5) == pytest.approx(true_m[0])
+    assert distance_m(frozen, 3.0) == pytest.approx(true_m[1])
+    assert distance_m(frozen, 6.0) == pytest.approx(true_m[3] - path_length_m)
+    assert distance_m(spinning, 6.0) == pytest.approx(true_m[3] + 0.5 * path_length_m)

@@ -1,4 +1,4 @@
-"""The file of faults: what it may say, and how it is refused."""
+"""The file of faults: its content, and refusals."""
 
 from pathlib import Path
 
@@ -59,7 +59,7 @@ def test_faults_are_read_in_their_order_with_their_defaults():
     assert (slow.kind, slow.at_s, slow.for_s) == ("slow_start", 0.0, 6.0)
 
 
-def test_every_kind_there_is_can_be_written():
+def test_every_kind_can_be_written():
     parameters = {
         "cut": "", "restart": "", "silence": "for_s: 1", "slow_start": "for_s: 1", "clock_jump": "by_s: -3",
         "garbage": "for_s: 1", "bit_flips": "for_s: 1", "half_messages": "for_s: 1",

@@ -1,4 +1,4 @@
-"""The pretended UTM-30LX: what third-party clients ask, what they need for an answer, a real one's habits.
+"""The fake UTM-30LX: requests of third-party clients, the answers they need, behaviour of a real one.
 
 The dialogues of urg_library and MRPT are replayed from recordings where those are at hand; what each client
 parses is stated here from its source (urg_sensor.c, CHokuyoURG.cpp, hokuyo.py of hokuyolx).
@@ -15,7 +15,7 @@ from drivers.hokuyo_utm30lx.scans import read_scan
 from simulators.hokuyo_setup import Utm30lxSetup
 from simulators.hokuyo_utm30lx import FakeUtm30lx
 from tests.drivers.utm30lx import Room
-from tests.drivers.virtual_time import said_until
+from tests.drivers.virtual_time import sent_until
 
 USB, ETHERNET = Utm30lxSetup(), Utm30lxSetup(wire="ethernet", serial_number="H0123456")
 START_NS = 5_000 * 10**9
@@ -23,7 +23,7 @@ MS = 1_000_000
 
 
 class Bench:
-    """A device, a clock that is moved by hand, and what came out."""
+    """A device, a virtual clock, and the messages sent."""
 
     def __init__(self, setup=USB, room=None):
         self.room = room or Room()
@@ -31,14 +31,14 @@ class Bench:
         self.now_ns = START_NS
         self.device.connected(self.now_ns)
 
-    def say(self, text, after_ms=1.0):
+    def send(self, text, after_ms=1.0):
         self.now_ns += round(after_ms * MS)
         return self.device.receive_data(text.encode() + b"\n", self.now_ns)
 
     def let(self, ms):
         """Let time pass; returns every message that left, with its time."""
         begin_ns, self.now_ns = self.now_ns, self.now_ns + round(ms * MS)
-        return list(said_until(self.device, begin_ns, self.now_ns))
+        return list(sent_until(self.device, begin_ns, self.now_ns))
 
 
 def status(reply):
@@ -75,9 +75,9 @@ def test_recorded_clients_get_replies_of_the_same_form_in_the_same_order(shared,
 
 
 def test_a_recorded_unit_and_this_one_answer_alike(shared):
-    """VV and PP byte for byte; II but for its time; the scan but for what it sees."""
+    """VV and PP byte for byte; II but for its time; the scan but for its ranges."""
     bench = Bench(replace(USB, clock_start_ms=4_821_456 - 78))
-    bench.say("BM")
+    bench.send("BM")
     expected = b"".join(data for direction, data in recorded(shared, "utm_30lx.jsonl") if direction == "dev")
     got = b""
     for direction, data in recorded(shared, "utm_30lx.jsonl"):
@@ -98,22 +98,22 @@ def test_a_recorded_unit_and_this_one_answer_alike(shared):
 
 def test_time_adjust_mode_is_entered_asked_and_left_as_the_specification_has_it():
     bench = Bench(replace(USB, clock_start_ms=1_000_000))
-    assert status(bench.say("TM1")) == "04"
-    assert status(bench.say("TM2")) == "03"
-    assert [status(bench.say("TM0")) for _ in range(2)] == ["00", "02"]
+    assert status(bench.send("TM1")) == "04"
+    assert status(bench.send("TM2")) == "03"
+    assert [status(bench.send("TM0")) for _ in range(2)] == ["00", "02"]
     at_ns = bench.now_ns
     assert (
-        decode_number(bench.say("TM1", 500.0).split(b"\n")[2][:4])
+        decode_number(bench.send("TM1", 500.0).split(b"\n")[2][:4])
         == 1_000_000 + (at_ns - START_NS) // MS + 500
     )
-    assert status(bench.say("QT")) == "0E"  # by which urg_library knows this mode
-    assert status(bench.say("PP")) == "10"
-    assert status(bench.say("VV")) == "00"
-    assert status(bench.say("TM2")) == "00"
-    assert status(bench.say("TM7")) == "01"
-    bench.say("MD0000108001000")
-    assert status(bench.say("TM0")) == "10"
-    assert status(Bench(ETHERNET).say("TM1")) == "00"
+    assert status(bench.send("QT")) == "0E"  # by which urg_library recognises this mode
+    assert status(bench.send("PP")) == "10"
+    assert status(bench.send("VV")) == "00"
+    assert status(bench.send("TM2")) == "00"
+    assert status(bench.send("TM7")) == "01"
+    bench.send("MD0000108001000")
+    assert status(bench.send("TM0")) == "10"
+    assert status(Bench(ETHERNET).send("TM1")) == "00"
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_time_adjust_mode_is_entered_asked_and_left_as_the_specification_has_it(
 )
 def test_statuses_of_commands_in_standby(command, usb, ethernet):
     for setup, expected in ((USB, usb), (ETHERNET, ethernet)):
-        reply = Bench(setup).say(command)
+        reply = Bench(setup).send(command)
         assert reply.split(b"\n")[0].decode() == command
         assert status(reply) == expected
         assert reply.endswith(b"\n\n")
@@ -163,7 +163,7 @@ def test_statuses_of_commands_in_standby(command, usb, ethernet):
 
 def test_stream_runs_at_40_hz_and_a_scan_leaves_when_its_sweep_is_over():
     bench = Bench(replace(USB, motor_speed=25.0 / 25.05, clock_start_ms=2**24 - 500, clock_drift_ppm=100.0))
-    bench.say("MD0000108001000")
+    bench.send("MD0000108001000")
     out = bench.let(1_000.0)
     left_ns = np.array([at_ns for at_ns, _ in out])
     first_rays_ns = np.array(bench.room.first_rays_ns)
@@ -182,21 +182,21 @@ def test_what_cannot_be_measured_has_a_code():
 
     for setup, none in ((USB, 1), (replace(ETHERNET, no_return_mm=65_533), 65_533)):
         bench = Bench(setup, Odd())
-        bench.say("MD0000039901000")
+        bench.send("MD0000039901000")
         scan = read_scan(ReplyDecoder().receive_data(bench.let(60.0)[0][1])[0])
         assert scan.distance_mm[0, :4].tolist() == [none, 4, none, 5000]
 
 
-def test_usb_streams_on_for_no_one_and_ethernet_stops():
+def test_usb_streams_on_without_a_client_and_ethernet_stops():
     for setup, goes_on in ((USB, True), (ETHERNET, False)):
         bench = Bench(setup)
-        bench.say("MD0000108001000")
+        bench.send("MD0000108001000")
         bench.let(100.0)
         bench.device.disconnected(bench.now_ns)
         bench.now_ns += 10_000 * MS
         tail = bench.device.connected(bench.now_ns)
         assert bool(tail) == goes_on
-        assert not tail.startswith(b"MD")  # we come in the middle of a scan
+        assert not tail.startswith(b"MD")  # connected within a scan
         out = bench.let(100.0)
         assert bool(out) == goes_on
         if goes_on:

@@ -1,4 +1,4 @@
-"""The pretended LUX serves third-party clients, keeps time, refuses what the real one refuses.
+"""The fake LUX serves third-party clients, keeps time, refuses what the real one refuses.
 
 Order and form of the dialogues: SICKAG/libsick_ldmrs (example), MRPT CIbeoLuxETH, Ibeo SDK 6.0.4 LuxLiveDemo.
 """
@@ -17,36 +17,36 @@ from simulators.trajectory import Follow, plan_drive
 from simulators.truth import IBEO_LUX, LaserTruth, Ride
 from simulators.world import Plan, make_world
 from tests.drivers.lux import Room
-from tests.drivers.virtual_time import said_until
+from tests.drivers.virtual_time import sent_until
 
 SECOND_NS = 1_000_000_000
 START_NS = 500 * SECOND_NS
 
 
 class Client:
-    """Talks to a device in virtual time and sorts what it says."""
+    """A client of a device in virtual time that sorts its messages."""
 
     def __init__(self, setup=None, source=None):
         self.device = FakeIbeoLux(source or Room(), setup or LuxSetup())
         self.now_ns = START_NS
         self.decoder = Decoder()
-        self.heard = self.decoder.receive_data(self.device.connected(self.now_ns))
+        self.received = self.decoder.receive_data(self.device.connected(self.now_ns))
 
-    def say(self, command, body=b"", version=0):
+    def send(self, command, body=b"", version=0):
         """The bytes of the answer."""
         payload = struct.pack("<2H", command, version) + body
         return self.device.receive_data(encode(Message(DataType.COMMAND, payload, 1)), self.now_ns)
 
     def ask(self, command, body=b""):
-        [message] = self.decoder.receive_data(self.say(command, body))
+        [message] = self.decoder.receive_data(self.send(command, body))
         assert message.data_type == DataType.REPLY
         return read_reply(message.payload)
 
     def listen(self, seconds):
         """Messages with their times."""
         begin_ns, self.now_ns = self.now_ns, self.now_ns + round(seconds * SECOND_NS)
-        said = said_until(self.device, begin_ns, self.now_ns)
-        return [(at_ns, message) for at_ns, data in said for message in self.decoder.receive_data(data)]
+        sent = sent_until(self.device, begin_ns, self.now_ns)
+        return [(at_ns, message) for at_ns, data in sent for message in self.decoder.receive_data(data)]
 
     def scans(self, seconds):
         return [
@@ -58,17 +58,17 @@ class Client:
 
 def test_libsick_start_up_gets_replies_of_the_lengths_it_requires():
     client = Client(LuxSetup(measuring=False, unsupported=frozenset({0x1109})))
-    assert len(client.say(0x0001, version=3)) == 24 + 32
-    assert len(client.say(0x0011, struct.pack("<H", 0x3302), version=3)) == 24 + 8
-    assert client.say(0x0011, struct.pack("<H", 0x1109), version=3)[24:] == bytes.fromhex("1180")
-    assert len(client.say(0x0030, struct.pack("<HI", 0, 4_000_000_000), version=3)) == 24 + 2
-    assert len(client.say(0x0031, struct.pack("<HI", 0, 0), version=3)) == 24 + 2
+    assert len(client.send(0x0001, version=3)) == 24 + 32
+    assert len(client.send(0x0011, struct.pack("<H", 0x3302), version=3)) == 24 + 8
+    assert client.send(0x0011, struct.pack("<H", 0x1109), version=3)[24:] == bytes.fromhex("1180")
+    assert len(client.send(0x0030, struct.pack("<HI", 0, 4_000_000_000), version=3)) == 24 + 2
+    assert len(client.send(0x0031, struct.pack("<HI", 0, 0), version=3)) == 24 + 2
     values = [(0x1102, 3200), (0x1100, 1600), (0x1101, 0xF9C0)]
     values += [(index, 0) for index in range(0x1200, 0x1206)] + [(0x1012, 0xFFEE)]
     for index, value in values:
-        reply = client.say(0x0010, struct.pack("<HI", index, value), version=3)
+        reply = client.send(0x0010, struct.pack("<HI", index, value), version=3)
         assert reply[24:] == bytes.fromhex("1000")
-    assert client.say(0x0020, version=3)[24:] == bytes.fromhex("2000")
+    assert client.send(0x0020, version=3)[24:] == bytes.fromhex("2000")
     scans = client.scans(2.0)
     assert len(scans) == pytest.approx(21, abs=1)
     assert scans[0].start_ntp >> 32 == 4_000_000_000
@@ -112,7 +112,7 @@ def test_low_layers_meet_the_ground_where_the_height_is_given():
         (0x9999, 0),
     ],
 )
-def test_what_it_cannot_have_is_refused(index, value):
+def test_impossible_parameters_are_refused(index, value):
     client = Client()
     reply = client.ask(Command.SET_PARAMETER, write_parameter(index, value))
     assert (reply.command, reply.refused, reply.body) == (0x0010, True, b"")
@@ -120,8 +120,8 @@ def test_what_it_cannot_have_is_refused(index, value):
 
 def test_unknown_short_and_internal_commands_do_no_harm():
     client = Client()
-    assert client.say(0x0002)[24:] == bytes.fromhex("0280")
-    assert client.say(0x0010, b"\1")[24:] == bytes.fromhex("1080")
+    assert client.send(0x0002)[24:] == bytes.fromhex("0280")
+    assert client.send(0x0010, b"\1")[24:] == bytes.fromhex("1080")
     assert client.device.receive_data(encode(Message(DataType.COMMAND, b"\1")), client.now_ns) == b""
     assert client.device.receive_data(b"GET / HTTP/1.1\r\n\r\n", client.now_ns) == b""
     assert client.device.receive_data(encode(Message(DataType.SCAN, b"")), client.now_ns) == b""

@@ -1,4 +1,4 @@
-"""The inertial truth against the drive it belongs to: integrals, lever arms, gravity, errors, places."""
+"""The inertial truth against its drive: integrals, lever arms, gravity, errors, places."""
 
 import math
 
@@ -34,26 +34,26 @@ def stamps(world: World, seconds: float = 0.0):
 
 def test_rates_add_up_to_the_turn_and_forces_to_the_motion(world):
     at = stamps(world)
-    felt = truth(world).inertial(at)
+    measured = truth(world).inertial(at)
     dt = STEP_NS * 1e-9
     poses = Ride(world, START_NS, 0.0).poses(at)
     turned = np.unwrap(poses[:, 2])
-    np.testing.assert_allclose(np.cumsum(felt.rate_radps[:, 2]) * dt, turned - turned[0], atol=0.01)
+    np.testing.assert_allclose(np.cumsum(measured.rate_radps[:, 2]) * dt, turned - turned[0], atol=0.01)
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    ax = c * felt.force_mps2[:, 0] - s * felt.force_mps2[:, 1]
-    ay = s * felt.force_mps2[:, 0] + c * felt.force_mps2[:, 1]
+    ax = c * measured.force_mps2[:, 0] - s * measured.force_mps2[:, 1]
+    ay = s * measured.force_mps2[:, 0] + c * measured.force_mps2[:, 1]
     for acceleration, place in ((ax, poses[:, 0]), (ay, poses[:, 1])):
-        way = np.cumsum(np.cumsum(acceleration) * dt) * dt
-        np.testing.assert_allclose(way, place - place[0], atol=0.05)
-    np.testing.assert_allclose(felt.force_mps2[:, 2], 9.81)
-    np.testing.assert_allclose(felt.rate_radps[:, :2], 0.0)
+        travel = np.cumsum(np.cumsum(acceleration) * dt) * dt
+        np.testing.assert_allclose(travel, place - place[0], atol=0.05)
+    np.testing.assert_allclose(measured.force_mps2[:, 2], 9.81)
+    np.testing.assert_allclose(measured.rate_radps[:, :2], 0.0)
 
 
-def test_a_sensor_off_the_middle_feels_its_lever_arm(world):
-    """Twice differentiated, the way of the sensor's own place gives what it feels."""
+def test_a_sensor_off_the_middle_measures_its_lever_arm(world):
+    """The second derivative of the sensor's position is the acceleration that it measures."""
     at = stamps(world)
     mounting = ImuMounting(x_m=0.8, y_m=-0.5, yaw_rad=0.7)
-    felt = truth(world, mounting=mounting).inertial(at)
+    measured = truth(world, mounting=mounting).inertial(at)
     dense = Ride(world, START_NS, 0.0).poses(np.arange(at[0], at[-1], 1_000_000, dtype=np.int64))
     c, s = np.cos(dense[:, 2]), np.sin(dense[:, 2])
     x = dense[:, 0] + c * 0.8 + s * 0.5
@@ -69,9 +69,9 @@ def test_a_sensor_off_the_middle_feels_its_lever_arm(world):
     left = -np.sin(heading) * twice(x) + np.cos(heading) * twice(y)
     inner = slice(20, len(ahead) - 20)
     for expected, column in ((ahead, 0), (left, 1)):
-        difference = np.abs(expected[inner] - felt.force_mps2[: len(ahead), column][inner])
+        difference = np.abs(expected[inner] - measured.force_mps2[: len(ahead), column][inner])
         assert np.quantile(difference, 0.9) < 0.03  # the rest is where the drive jerks
-    assert np.abs(felt.force_mps2[:, :2]).max() > 0.5
+    assert np.abs(measured.force_mps2[:, :2]).max() > 0.5
 
 
 def test_orientation_is_the_heading_from_east(world):
@@ -87,11 +87,11 @@ def test_orientation_is_the_heading_from_east(world):
 def test_white_noise_and_biases_are_as_large_as_the_model_says(world):
     """At rest; noise from sample to sample, biases over many units."""
     at = START_NS - 10**9 + np.arange(4000, dtype=np.int64) * 250_000  # before it drives
-    felt = truth(world, MTI_G, seed=3).inertial(at)
+    measured = truth(world, MTI_G, seed=3).inertial(at)
     white = MTI_G.gyro_density_radps * math.sqrt(MTI_G.bandwidth_hz)
-    assert felt.rate_radps.std(axis=0) == pytest.approx([white] * 3, rel=0.1)
+    assert measured.rate_radps.std(axis=0) == pytest.approx([white] * 3, rel=0.1)
     white = MTI_G.accelerometer_density_mps2 * math.sqrt(MTI_G.bandwidth_hz)
-    assert felt.force_mps2.std(axis=0) == pytest.approx([white] * 3, rel=0.1)
+    assert measured.force_mps2.std(axis=0) == pytest.approx([white] * 3, rel=0.1)
     biases = np.array([truth(world, MTI_G, seed=k).bias_at(at[:1])[0] for k in range(300)])
     assert biases[:, :3].std() == pytest.approx(MTI_G.gyro_stability_radps, rel=0.1)
     assert biases[:, 3:].std() == pytest.approx(MTI_G.accelerometer_stability_mps2, rel=0.1)

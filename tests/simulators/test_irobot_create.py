@@ -19,7 +19,7 @@ def test_it_sleeps_after_five_minutes_of_passive_and_only_the_wake_line_helps():
 def test_pycreate2_dialogue():
     """What pycreate2 0.8 sends: start, safe, four songs cleared, group 100, drive direct, and its close."""
     robot = FakeCreate(STANDING)
-    assert robot.receive_data(bytes([131, 142, 100, 148, 1, 7]), 0) == b""  # deaf until Start
+    assert robot.receive_data(bytes([131, 142, 100, 148, 1, 7]), 0) == b""  # ignored until Start
     songs = b"".join(bytes([140, n, 1, 70, 0, 141, n]) for n in range(4))
     assert robot.receive_data(bytes([128]), 0) == b""
     assert robot.receive_data(bytes([131]) + songs, S) == b""

@@ -1,4 +1,4 @@
-"""What pretended ROS 2 nodes publish, against the truth that feeds them; no wire is served."""
+"""Messages of fake ROS 2 nodes against the truth they measure; no wire is served."""
 
 import math
 
@@ -68,7 +68,7 @@ def test_odometry_follows_the_drive(ride: Ride):
     assert last.twist_mps_radps[0] > 0.1
 
 
-def test_a_unit_at_rest_feels_gravity_alone(ride: Ride):
+def test_a_unit_at_rest_measures_gravity_alone(ride: Ride):
     samples = published(node("ros2_imu", ride), IMU, 0.5)
     assert len(samples) == 50
     mean = np.mean([s.force_mps2 for s in samples if isinstance(s, ImuSample)], axis=0)
@@ -83,9 +83,7 @@ def test_a_topic_may_be_named(ride: Ride):
         parse_device("it=ros2_scan:topic=a b")
 
 
-def test_a_router_that_does_not_tell_its_port_is_an_error_in_words(
-    ride: Ride, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_router_that_does_not_report_its_port_is_an_error(ride: Ride, monkeypatch: pytest.MonkeyPatch):
     class Silent:
         closed = False
 

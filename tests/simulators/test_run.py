@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from simulators.device import TURNS_SKIPPED
-from simulators.run import main, tell_losses
+from simulators.run import main, warn_of_losses
 from simulators.truth import Ride
 from simulators.vehicle import FakeVehicle, parse_devices
 from simulators.wire import DROPPED
@@ -57,10 +57,10 @@ def test_both_devices_answer_and_the_truth_is_written(simulate, tmp_path: Path):
     host, port = where["front"].removeprefix("tcp://").split(":")
     with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as laser:
         laser.sendall(b"\x02sEN LMDscandata 1\x03")
-        heard = b""
-        while heard.count(b"sSN LMDscandata") < 20:
-            heard += laser.recv(65536)
-    assert b"sEA LMDscandata" in heard
+        received = b""
+        while received.count(b"sSN LMDscandata") < 20:
+            received += laser.recv(65536)
+    assert b"sEA LMDscandata" in received
 
     base = os.open(where["base"], os.O_RDWR | os.O_NOCTTY)
     os.write(base, bytes([128, 142, 35]))  # start, ask for the mode: passive
@@ -171,14 +171,14 @@ def test_losses_of_this_side_are_reported_once_each(caplog: pytest.LogCaptureFix
     vehicle = FakeVehicle(parse_devices([]), Ride(build_world("ring"), 0, 0.0), seed=1)
     facts: Counter[tuple[str, str]] = Counter()
     with caplog.at_level("WARNING"):
-        tell_losses(vehicle, facts)
+        warn_of_losses(vehicle, facts)
         assert caplog.messages == []
         vehicle.devices["base"].counters[TURNS_SKIPPED] += 7  # type: ignore[union-attr]
         vehicle.wires["front"].counters[DROPPED] += 2
-        tell_losses(vehicle, facts)
+        warn_of_losses(vehicle, facts)
         vehicle.devices["base"].counters[TURNS_SKIPPED] += 3  # type: ignore[union-attr]
-        tell_losses(vehicle, facts)
-        tell_losses(vehicle, facts)
+        warn_of_losses(vehicle, facts)
+        warn_of_losses(vehicle, facts)
     assert [message.partition(";")[0] for message in caplog.messages] == [
         "front: 2 more messages_dropped_slow_reader",
         "base: 7 more turns_skipped",

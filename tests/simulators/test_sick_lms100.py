@@ -1,4 +1,4 @@
-"""The pretended LMS100: what third-party clients ask, what they need as an answer, the habits of a real one.
+"""The fake LMS100: requests of third-party clients, the answers they need, behaviour of a real one.
 
 The dialogues are replayed from recordings of libLMS1xx, MRPT and sick_scan_xd where those are at hand; what
 each client parses is stated here from its source (LMS1xx.cpp, CLMS100eth.cpp, sick_scan_common.cpp).
@@ -14,7 +14,7 @@ from drivers.sick_lms100.telegrams import read_scan
 from simulators.sick_lms100 import FakeLms100
 from simulators.sick_setup import Lms100Setup
 from tests.drivers.lms100 import Room
-from tests.drivers.virtual_time import said_until
+from tests.drivers.virtual_time import sent_until
 
 ASCII, BINARY = Dialect.ASCII, Dialect.BINARY
 START_NS = 5_000 * 10**9
@@ -23,7 +23,7 @@ LOGIN = b"\x02sMN SetAccessMode 03 F4724744\x03"
 
 
 class Bench:
-    """A device, a clock that is moved by hand, and what came out."""
+    """A device, a virtual clock, and the messages sent."""
 
     def __init__(self, setup=None):
         self.room = Room()
@@ -31,14 +31,14 @@ class Bench:
         self.now_ns = START_NS
         self.device.connected(self.now_ns)
 
-    def say(self, data):
+    def send(self, data):
         self.now_ns += MS
         return self.device.receive_data(data, self.now_ns)
 
     def let(self, ms):
         """Let time pass; returns every message that left, with its time."""
         begin_ns, self.now_ns = self.now_ns, self.now_ns + round(ms * MS)
-        return [one for one in said_until(self.device, begin_ns, self.now_ns) if one[1]]
+        return [one for one in sent_until(self.device, begin_ns, self.now_ns) if one[1]]
 
 
 def dialogue(path):
@@ -68,12 +68,12 @@ def test_liblms1xx_and_mrpt_get_through_their_start_up(shared):
     bench = Bench()
     answers = {}
     for request in lib:
-        answer = bench.say(request)
+        answer = bench.send(request)
         assert answer.startswith(b"\x02")
         assert answer.count(b"\x03") == 1
         assert answer.endswith(b"\x03")
-        [requested], [said] = Decoder().receive_data(request), Decoder().receive_data(answer)
-        assert (said.kind, said.name) == (KINDS[requested.kind], requested.name)
+        [requested], [answered] = Decoder().receive_data(request), Decoder().receive_data(answer)
+        assert (answered.kind, answered.name) == (KINDS[requested.kind], requested.name)
         answers[requested.name] = answer
         if requested.name == "LMCstartmeas":
             bench.let(1000)
@@ -93,11 +93,11 @@ def test_liblms1xx_and_mrpt_get_through_their_start_up(shared):
     bench.device.disconnected(bench.now_ns)
     bench.device.connected(bench.now_ns)
     for request in mrpt[:-5]:
-        assert Decoder().receive_data(bench.say(request))[0].kind != "sFA"
+        assert Decoder().receive_data(bench.send(request))[0].kind != "sFA"
         bench.let(1000)
     bench.let(1000)
     for request in mrpt[-5:]:
-        tokens = bench.say(request)[1:-1].split(b" ")
+        tokens = bench.send(request)[1:-1].split(b" ")
         assert tokens[:2] == [b"sRA", b"LMDscandata"]
         assert (tokens[20], int(tokens[25], 16)) == (b"DIST1", 1081)
         assert len(tokens) > 26 + 1081
@@ -107,7 +107,7 @@ def test_liblms1xx_and_mrpt_get_through_their_start_up(shared):
 def test_output_state_has_the_layout_and_length_of_an_lms1xx():
     bench = Bench(Lms100Setup(dialect=BINARY))
     for name in ("LIDoutputstate", "LMDscandata"):
-        bench.say(encode(Telegram(BINARY, "sEN", name, b"\1")))
+        bench.send(encode(Telegram(BINARY, "sEN", name, b"\1")))
     messages = [m for _, m in bench.let(500)]
     [event] = [m for m in messages if b"LIDoutputstate" in m]
     assert len(event) == 93 + 9
@@ -135,36 +135,36 @@ def test_output_state_has_the_layout_and_length_of_an_lms1xx():
     ],
 )
 def test_what_is_not_allowed_is_refused_with_the_right_code(request_text, code):
-    assert Bench().say(b"\x02" + request_text.encode() + b"\x03") == b"\x02sFA " + code.encode() + b"\x03"
+    assert Bench().send(b"\x02" + request_text.encode() + b"\x03") == b"\x02sFA " + code.encode() + b"\x03"
 
 
 @pytest.mark.parametrize("dialect", [ASCII, BINARY])
-def test_other_dialect_is_met_with_silence(dialect):
+def test_other_dialect_gets_no_answer(dialect):
     other = BINARY if dialect is ASCII else ASCII
     bench = Bench(Lms100Setup(dialect=dialect))
-    assert bench.say(encode(Telegram(other, "sRN", "SCdevicestate"))) == b""
-    assert bench.say(encode(Telegram(dialect, "sRN", "SCdevicestate"))) != b""
+    assert bench.send(encode(Telegram(other, "sRN", "SCdevicestate"))) == b""
+    assert bench.send(encode(Telegram(dialect, "sRN", "SCdevicestate"))) != b""
     assert bench.device.counters["requests_in_other_dialect"] == 1
 
 
 def test_login_is_checked_and_ends_with_run_and_with_the_connection():
     bench = Bench()
     write = b"\x02sWN LMDscandatacfg 01 00 0 0 0 00 00 0 0 0 1 +1\x03"
-    assert bench.say(b"\x02sMN SetAccessMode 3 12345678\x03") == b"\x02sAN SetAccessMode 0\x03"
-    assert bench.say(write) == b"\x02sFA A\x03"
-    assert bench.say(LOGIN) == b"\x02sAN SetAccessMode 1\x03"
-    assert bench.say(write) == b"\x02sWA LMDscandatacfg\x03"
-    bench.say(b"\x02sMN Run\x03")
-    assert bench.say(write) == b"\x02sFA A\x03"
-    bench.say(LOGIN)
+    assert bench.send(b"\x02sMN SetAccessMode 3 12345678\x03") == b"\x02sAN SetAccessMode 0\x03"
+    assert bench.send(write) == b"\x02sFA A\x03"
+    assert bench.send(LOGIN) == b"\x02sAN SetAccessMode 1\x03"
+    assert bench.send(write) == b"\x02sWA LMDscandatacfg\x03"
+    bench.send(b"\x02sMN Run\x03")
+    assert bench.send(write) == b"\x02sFA A\x03"
+    bench.send(LOGIN)
     bench.device.disconnected(bench.now_ns)
     bench.device.connected(bench.now_ns)
-    assert bench.say(write) == b"\x02sFA A\x03"
+    assert bench.send(write) == b"\x02sFA A\x03"
 
 
 def test_scan_leaves_after_its_last_ray_and_its_stamps_are_a_real_ones():
     bench, decoder = Bench(Lms100Setup(clock_drift_ppm=100.0)), Decoder()
-    assert bench.say(encode(Telegram(ASCII, "sEN", "LMDscandata", b"1")))
+    assert bench.send(encode(Telegram(ASCII, "sEN", "LMDscandata", b"1")))
     telegrams = [(at_ns, t) for at_ns, message in bench.let(20_000) for t in decoder.receive_data(message)]
     scans = [(at_ns, read_scan(t)) for at_ns, t in telegrams if t.name == "LMDscandata"]
     first_rays_ns = np.array(bench.room.first_rays_ns)

@@ -49,7 +49,7 @@ def test_travel_adds_up_over_laps(loop: Trajectory):
     assert one[1] == pytest.approx(2 * math.pi, abs=1e-6)
 
 
-def test_corner_passes_inside_the_way_point_by_what_the_radius_says():
+def test_corner_passes_inside_the_waypoint_as_far_as_the_radius_requires():
     radius_m = 2.0
     drive = plan_drive(SE2(), [Follow([(8, 0), (8, 8)], corner_radius_m=radius_m)])
     poses = drive.poses(np.arange(0.0, drive.duration_s, 0.01))

@@ -38,7 +38,7 @@ def sweep_at(source: LaserTruth, time_s: float) -> Sweep:
     return source.sweep(Beams(START_NS + round(time_s * 1e9), BEAM_NS, FIRST_RAD, STEP_RAD, BEAMS))
 
 
-def test_spinning_vehicle_sees_the_wall_bent_as_the_formula_says():
+def test_spinning_vehicle_measures_the_wall_bent_as_by_the_formula():
     limits = Limits(turn_rate_radps=2.0, turn_acceleration_radps2=100.0)
     source = laser(room([Spin(3.0)], limits=limits))
     range_m = sweep_at(source, 0.2).range_m
@@ -49,7 +49,7 @@ def test_spinning_vehicle_sees_the_wall_bent_as_the_formula_says():
     expected_m = 5.0 / np.maximum(np.abs(np.cos(angle_rad)), np.abs(np.sin(angle_rad)))
     np.testing.assert_allclose(range_m, expected_m, atol=1e-5)
     frozen_m = 5.0 / np.cos(turned_rad[0] + FIRST_RAD + np.arange(BEAMS) * STEP_RAD)
-    assert np.abs(range_m - frozen_m).max() > 0.02  # the distortion is there to be seen
+    assert np.abs(range_m - frozen_m).max() > 0.02  # there is a distortion
 
 
 def test_driving_vehicle_nears_the_wall_from_beam_to_beam():
@@ -70,7 +70,7 @@ def test_person_walks_on_during_a_sweep():
     np.testing.assert_allclose(gone.range_m, 5.0, atol=1e-4)
 
 
-def test_glass_is_seen_squarely_and_what_is_behind_it_elsewhere():
+def test_glass_returns_at_a_right_angle_and_the_wall_behind_it_elsewhere():
     plan = Plan()
     plan.line((-5, -5), (5, -5), (5, 5), (-5, 5), (-5, -5), reflectivity=0.9)
     plan.line((3, -5), (3, 5), glass=True)
@@ -159,7 +159,7 @@ def test_wheel_error_has_the_scale_and_spread_of_the_model():
     assert errors_m.std() == pytest.approx(math.hypot(4.0 * 0.01, 0.003 * math.sqrt(4.0)), rel=0.1)
 
 
-def test_slip_events_come_as_often_as_the_model_says():
+def test_slip_events_come_as_often_as_in_the_model():
     ride = Ride(room([Follow([(4, 0)])]), START_NS, stand_s=0.0)
     model = WheelModel(scale_sigma=0.0, slip_sigma_m=0.0, slips_per_m=0.1, slip_m=(0.01, 0.02))
     ends = [

@@ -48,9 +48,7 @@ def test_wrong_device_is_refused_with_what_is_wrong(text: str, diagnostic: str):
 
 
 @pytest.mark.parametrize("option", ["port", "link"])
-def test_a_place_that_is_taken_is_reported_with_the_device_that_wanted_it(
-    option: str, world: World, tmp_path: Path
-):
+def test_a_port_in_use_is_reported_with_its_device(option: str, world: World, tmp_path: Path):
     (tmp_path / "mine").write_text("my own")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
@@ -70,7 +68,7 @@ def test_two_devices_of_one_name_are_refused():
         parse_devices(["a=sick_lms100", "a=irobot_create"])
 
 
-def test_vehicle_tells_where_its_devices_answer(world: World, tmp_path: Path):
+def test_vehicle_reports_the_endpoints_of_its_devices(world: World, tmp_path: Path):
     warm_up(world)
     specs = parse_devices(["front=sick_lms100", f"base=irobot_create:link={tmp_path / 'create'}"])
     with FakeVehicle(specs, Ride(world, 0), seed=1) as vehicle:
@@ -94,7 +92,7 @@ def test_a_hokuyo_is_on_the_wire_it_was_given(world: World, tmp_path: Path):
 
 
 def telegrams(world: World, seed: int, looks_s: list[float]) -> bytes:
-    """What a laser sends, looked at in these moments of a made-up time."""
+    """Bytes of a laser, fetched at these virtual times."""
     source = LaserTruth(Ride(world, 0, stand_s=0.0), "front", SE2(0.2, 0.0, 0.0), LMS100, seed)
     device = FakeLms100(source, seed=seed_of(seed, "front"))
     sent = device.connected(0) + device.receive_data(SUBSCRIBE, 10)
@@ -111,7 +109,7 @@ def test_same_seed_gives_the_same_bytes_whenever_they_are_fetched(world: World):
     assert telegrams(world, 2, often) != telegrams(world, 1, often)
 
 
-def test_laser_sits_and_errs_as_its_options_say(world: World):
+def test_laser_has_the_mounting_and_the_errors_of_its_options(world: World):
     both = LaserOptions(x_m=0.0), LaserOptions(x_m=1.0, yaw_deg=180.0, bias_m=0.1)
     sources = [options.source(Ride(world, 0), "front", LMS100, 1) for options in both]
     ahead, behind = (source.sweep(Beams(0, 27_778, 0.0, 0.0, 50)).range_m.mean() for source in sources)
@@ -131,6 +129,6 @@ def test_laser_sits_and_errs_as_its_options_say(world: World):
         ("xsens_mtig:product=MTi-30-2A5G4", "product", "MTi-30-2A5G4"),
     ],
 )
-def test_device_refuses_what_its_options_say(world: World, text: str, attribute: str, value: object):
+def test_device_refuses_what_its_options_name(world: World, text: str, attribute: str, value: object):
     (device,) = FakeVehicle(parse_devices([f"x={text}"]), Ride(world, 0), 1).devices.values()
     assert getattr(device.setup, attribute) == value

@@ -20,7 +20,7 @@ PATIENCE_S = 30.0
 
 
 class Ticker:
-    """Greets, shouts back what it hears and says `tick` each period while a client is there."""
+    """Sends a greeting, each request in capitals and `tick` each period while a client is connected."""
 
     def __init__(self, tick: bytes = b".", period_ns: int = PERIOD_NS) -> None:
         self._tick, self._period_ns = tick, period_ns
@@ -36,7 +36,7 @@ class Ticker:
 
     def receive_data(self, data: bytes, now_ns: int) -> bytes:
         if b"fail" in data:
-            raise ValueError("told to fail")
+            raise ValueError("asked to fail")
         return data.upper()
 
     def next_due_ns(self, now_ns: int) -> int | None:
@@ -107,7 +107,7 @@ def test_due_times_are_kept_without_drift():
     with TcpWire(ticker) as address, connect(address) as client:
         read_until(lambda: client.recv(4096), lambda data: data.count(b".") >= 200)
     assert min(ticker.lateness_ns) >= 0
-    # The best of a hundred: whatever else the machine does, one that is behind makes up for it at once.
+    # The best of a hundred: under load too, one that is late catches up at once.
     # Measured 0.1 ms; a drift of 0.1 ms a tick gives 10 ms and more.
     assert min(ticker.lateness_ns[100:200]) < 2.0 * PERIOD_NS
 
@@ -233,7 +233,7 @@ def test_failure_of_a_device_is_raised_when_the_wire_closes():
     with connect(wire.endpoint) as client:
         client.sendall(b"fail")
         read_until(lambda: client.recv(4096) or b"the end", lambda data: b"the end" in data)
-    with pytest.raises(ValueError, match="told to fail"):
+    with pytest.raises(ValueError, match="asked to fail"):
         wire.close()
 
 
@@ -251,8 +251,8 @@ def test_terminal_is_raw_and_clients_come_and_go():
     assert ticker.events == ["connected", "disconnected"] * 3
 
 
-def test_a_new_client_of_a_terminal_reads_nothing_that_was_meant_for_the_one_before():
-    """What no one read lies in the terminal itself, which the master's flush does not reach."""
+def test_a_new_client_of_a_terminal_reads_nothing_sent_to_the_one_before():
+    """Unread bytes stay in the terminal itself, which the master's flush does not reach."""
     ticker = Ticker()
     with PtyWire(ticker) as path:
         fd = open_terminal(path)
@@ -267,9 +267,9 @@ def test_a_new_client_of_a_terminal_reads_nothing_that_was_meant_for_the_one_bef
         os.close(fd)
 
 
-def test_terminal_no_one_reads_keeps_the_device_running():
+def test_unread_terminal_keeps_the_device_running():
     ticker = Ticker(b"x" * 1000, period_ns=100_000)
     with PtyWire(ticker) as path:
         fd = open_terminal(path)
-        wait_until(lambda: len(ticker.lateness_ns) > 200)  # the terminal holds four
+        wait_until(lambda: len(ticker.lateness_ns) > 200)  # the terminal buffers four
         os.close(fd)

@@ -7,7 +7,7 @@ from service.geometry.se2 import SE2
 from simulators.trajectory import Follow, plan_drive
 from simulators.world import Plan, World, make_world, walk
 
-NOBODY = np.empty((0, 5))
+NO_PEOPLE = np.empty((0, 5))
 
 
 def world_of(plan: Plan, start: SE2 | None = None, people=()) -> World:
@@ -16,7 +16,7 @@ def world_of(plan: Plan, start: SE2 | None = None, people=()) -> World:
 
 def range_along(world: World, x_m: float, y_m: float, angle_deg: float) -> float:
     ray = np.array([[x_m, y_m, math.radians(angle_deg), 0.0]])
-    return float(world.cast(ray, NOBODY, 100.0)[0][0])
+    return float(world.cast(ray, NO_PEOPLE, 100.0)[0][0])
 
 
 def test_wall_has_two_faces_and_a_gap():
@@ -46,7 +46,7 @@ def test_turned_box_and_post_stand_where_they_were_put():
     assert range_along(world, 0, 0, 90) == pytest.approx(3.5)
 
 
-def test_world_is_seen_from_the_start_of_the_drive():
+def test_world_is_in_the_frame_of_the_start_of_the_drive():
     plan = Plan()
     plan.line((10, 0), (10, 5))
     start = SE2(7.0, 2.0, math.pi / 2)

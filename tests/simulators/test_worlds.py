@@ -19,7 +19,7 @@ def test_drive_starts_at_the_origin_and_goes_on_for_ever(world: World):
     assert world.drive.repeats
 
 
-def test_people_walk_where_the_world_says():
+def test_people_walk_as_in_the_world():
     assert {name for name in WORLDS if build_world(name).people} == set(PEOPLED)
 
 
@@ -54,7 +54,7 @@ def test_mall_has_twelve_thousand_square_metres():
     assert width * height == pytest.approx(12000.0, rel=0.03)
 
 
-def test_unknown_world_is_refused_with_the_names_there_are():
+def test_unknown_world_is_refused_with_the_known_names():
     with pytest.raises(ValueError, match=r"no world 'moon'; there are corridor100, crowd, .*, ring"):
         build_world("moon")
 
@@ -67,4 +67,4 @@ def test_crowd_stays_within_three_metres_while_the_vehicle_drives(turned_rad):
     gaps_m = [np.hypot(*(np.array([p.place(t) for t in time_s]) - here).T) for p in crowd.people]
     assert len(gaps_m) == 5
     assert np.max(gaps_m) < 3.0
-    assert np.min(gaps_m) > 0.6  # no one walks through the vehicle
+    assert np.min(gaps_m) > 0.6  # of the vehicle

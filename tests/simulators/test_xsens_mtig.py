@@ -1,4 +1,4 @@
-"""The fake units on their own: what they answer to whom, when, and what they do when they are ill-treated."""
+"""The fake units on their own: answers, their times, and refusals."""
 
 import pytest
 
@@ -6,26 +6,26 @@ from drivers.xsens_mtig.mtdata2 import read_output_configuration, split, write_o
 from drivers.xsens_mtig.protocol import Message, MessageDecoder, Mid, encode
 from simulators.xsens_mtig import FakeMtiG
 from tests.drivers.mtig import ZERO_NS, legacy, mtdata2
-from tests.drivers.virtual_time import SECOND_NS, said_until
+from tests.drivers.virtual_time import SECOND_NS, sent_until
 
 BOTH = pytest.mark.parametrize("make", [mtdata2, legacy])
 
 
 class Host:
-    """Says things to a unit and hears what comes, in virtual time."""
+    """A client of a unit in virtual time."""
 
     def __init__(self, unit: FakeMtiG) -> None:
         self.unit = unit
         self.now_ns = ZERO_NS
-        self.heard: list[Message] = []
+        self.received: list[Message] = []
         self._decoder = MessageDecoder()
         unit.connected(self.now_ns)
 
     def wait(self, seconds: float) -> list[Message]:
         begin_ns, self.now_ns = self.now_ns, self.now_ns + round(seconds * SECOND_NS)
-        said = said_until(self.unit, begin_ns, self.now_ns)
-        messages = [message for _, data in said for message in self._decoder.receive_data(data)]
-        self.heard += messages
+        sent = sent_until(self.unit, begin_ns, self.now_ns)
+        messages = [message for _, data in sent for message in self._decoder.receive_data(data)]
+        self.received += messages
         return messages
 
     def ask(self, mid: int, data: str = "", bus_id: int = 0xFF) -> Message:
@@ -137,10 +137,10 @@ def test_effective_rates_come_back_and_stay():
     assert counts[0x1020] == len(messages)
 
 
-def test_more_than_the_line_carries_overflows_and_says_so():
+def test_more_than_the_line_carries_overflows_and_is_reported():
     unit = legacy(baud=9_600)
     host = Host(unit)
     host.wait(5.0)
-    assert refused(0x1E) in host.heard
+    assert refused(0x1E) in host.received
     assert unit.counters["messages_overflowed"] > 100
-    assert len(host.heard) * 59 * 10 <= 5.2 * 9_600
+    assert len(host.received) * 59 * 10 <= 5.2 * 9_600

@@ -1,4 +1,4 @@
-"""A pretended node with a laser, and a session that listens to it, in virtual time."""
+"""A fake node with a laser, and a session that listens to it, in virtual time."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Over loopback: a pretended node on a router, the link of all drivers, and the subscription."""
+"""Over loopback: a fake node on a router, the link of all drivers, and the subscription."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
