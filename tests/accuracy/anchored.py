@@ -1,4 +1,4 @@
-"""A lap of 2 km outdoors with a GNSS receiver: the map's shape, and where it lies on the earth."""
+"""A lap of 2 km outdoors with a GNSS receiver: error of the map's shape and of its geo-reference."""
 
 import gc
 import math

@@ -1,4 +1,4 @@
-"""Whole buildings: those in which other mappers were seen to fail, a ring driven fast, a mall."""
+"""Whole buildings: some in which other mappers failed, a ring driven fast, a mall."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -114,7 +114,7 @@ def big_mall(seeds: Sequence[int]) -> Section:
 
 
 def seconds_for(world: World, path_length_m: float) -> float:
-    """How long the drive takes to come so far."""
+    """Duration of that much of the drive, s."""
     low_s, high_s = 0.0, 2.0 * world.drive.duration_s * max(1.0, path_length_m / world.drive.length_m)
     while high_s - low_s > 0.1:
         middle_s = (low_s + high_s) / 2.0

@@ -1,4 +1,4 @@
-"""What the default profile costs: a scan, a whole recording, a map that grows, a start."""
+"""Processor time of the default profile: a scan, a whole recording, a map that grows, a start."""
 
 import json
 import subprocess
@@ -110,7 +110,7 @@ def growing_map(seeds: Sequence[int]) -> Section:
 
 
 def localised(seeds: Sequence[int]) -> Section:
-    """A vehicle that drives the same lap for hours, in a map of it that stays as it is."""
+    """A vehicle that drives the same lap for hours, in a frozen map of it."""
     world = _block_of_mall()
     lap_s = world.drive.duration_s
     laser = replace(LMS100_50HZ, rate_hz=LOOP_RATE_HZ)

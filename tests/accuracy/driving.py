@@ -1,4 +1,4 @@
-"""Simulated drives through the default profile, and how far off it ends up."""
+"""Simulated drives by the default profile, and its errors."""
 
 import gc
 import math
@@ -25,14 +25,14 @@ WHEELS = Wheels()  # 1 cm and 0.3 deg per root metre, at 67 Hz
 
 @dataclass(frozen=True)
 class Trip:
-    """A drive through a world, with what rides along."""
+    """A drive through a world with a vehicle's sensors."""
 
     world: Callable[[], World]
     laser: Laser
     seconds: float | None = None  # None: one lap
     wheels: Wheels | None = field(default_factory=lambda: WHEELS)
     imu: Imu | None = None
-    change: Change | None = None  # of what the sensors say
+    change: Change | None = None  # of the frames
 
     def drives(self, seeds: Sequence[int]) -> list[Drive]:
         """Once for each seed, each begun at a heading of its own against the walls."""

@@ -1,4 +1,4 @@
-"""Every given recording, real and synthetic, through the default profile; none is left out."""
+"""Every given recording, real and synthetic, by the default profile."""
 
 import tempfile
 from collections.abc import Sequence
@@ -56,7 +56,7 @@ DATASETS = (
     ("mines1", "", 0.0, None, None),
 )
 CAUSES = {
-    "fhw": "the relations of the reference are no better than that: below it is told how far the returns of "
+    "fhw": "the relations of the reference are no better than that: given below is how far the returns of "
     "one scan lie from the lines of the other, which is farther at its relations than at ours"
 }
 NEIGHBOURS = 5  # of a return, itself among them: its line
@@ -140,7 +140,7 @@ def _world(name: str, bound_m: float | None, out: Path) -> list[Row]:
 
 
 def wrong_row(name: str, done: Replay, off_m: np.ndarray) -> Row:
-    """How many scans are `ok` and WRONG_M off."""
+    """Scans that are `ok` and more than WRONG_M off."""
     is_ok = np.array([output.state == "ok" for output in done.outputs])
     wrong = float(np.sum(is_ok & (off_m > WRONG_M)))
     return Row(f"{name}: scans `ok` and {WRONG_M} m off", [wrong], "scans", at_most=0.0)
@@ -165,7 +165,7 @@ def _dataset(
             ),
             Row(f"{name}: {relations}", [error.rotation_deg.mean], "deg", at_most=bounds[1]),
         ]
-    if relations.startswith("derived"):  # a wall drawn twice shows between drives past it, not in one drive
+    if relations.startswith("derived"):  # a doubled wall shows between two passes, not in one
         error = against_relations(out / "trajectory.tum", folder / f"{NEARBY}.relations", shift_s)
         rows += [
             Row(f"{name}: {NEARBY}", [error.translation_m.mean], "m", digits=4),
@@ -194,7 +194,7 @@ def _fit(name: str, relations: str, shift_s: float, out: Path) -> list[Row]:
 
 
 def _without_odometry(name: str, bound_m: float, folder: Path) -> list[Row]:
-    """A recording with official relations as it is, but for its odometry."""
+    """A recording with official relations, without its odometry."""
     spoilt, out = folder / "spoilt.mcap", folder / f"{name}_without_odometry"
     rewrite(recording_of(name), spoilt, WithoutOdometry())
     done = mapped(spoilt, out)
@@ -228,7 +228,7 @@ def with_odometry(scans: Trajectory, samples: list[OdometrySample]) -> Trajector
     and the share of time of what odometry and the two scans differ by.
 
     Relations whose stamps lie between scans are scored on the straight line between two poses, which a
-    vehicle that turns does not follow: with a scan a second the line is a good part of the error.
+    vehicle that turns does not follow: with a scan a second the line is much of the error.
     """
     odometry = _trajectory(samples)
     inside = (odometry.stamp_ns > max(scans.stamp_ns[0], odometry.stamp_ns[0])) & (
@@ -259,7 +259,7 @@ def _trajectory(samples: list[OdometrySample]) -> Trajectory:
 
 @dataclass(frozen=True, slots=True)
 class PairFit:
-    """Of consecutive relations, at the poses of a trajectory and as the reference has them."""
+    """Fit of the scans of consecutive relations, at the poses of a trajectory and of the reference."""
 
     ours_m: float  # mean distance of a return from the other scan's line
     reference_m: float
@@ -268,8 +268,8 @@ class PairFit:
 
 
 def pair_fit(recording: Path, trajectory: Path, relations: Path, shift_s: float) -> PairFit:
-    """What a relation is worth where its reference is good to 5 to 10 cm only: how well the two scans lie on
-    each other, of those relations whose two stamps are those of scans that see something in common.
+    """Fit of the two scans of each relation whose stamps are those of scans with walls in common, where the
+    reference is good to 5 to 10 cm only.
     """
     scans = {frame.stamp_ns: frame for frame in frames_of(recording) if isinstance(frame, LaserScan)}
     stamp_ns = np.array(sorted(scans))

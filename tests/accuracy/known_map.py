@@ -24,7 +24,7 @@ def known_map(seeds: Sequence[int]) -> Section:
     rows = []
     scenes = (
         ("square room of 10 m, centre", "room", 0.0),
-        ("ring corridor, half-way down a side", "ring", 12.0),
+        ("ring corridor, in the middle of a side", "ring", 12.0),
         ("office", "office", 12.0),
     )
     for scene, world_name, at_s in scenes:

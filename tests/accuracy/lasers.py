@@ -1,4 +1,4 @@
-"""Several lasers: better than the best alone, and none the worse for a wrong mounting or a dead one."""
+"""Accuracy of several lasers, also with a wrong mounting or a laser that stops."""
 
 import math
 import time
@@ -23,7 +23,7 @@ FRONT = LMS100_50HZ
 REAR = replace(UTM30LX_40HZ, name="rear", mounting=SE2(-0.2, 0.0, math.pi))
 LUX = Laser(IBEO_LUX, 220, 25.0, -50.0, 0.5, SE2(0.25, 0.0, 0.0), "lux")
 ALL = (FRONT, REAR, LUX)
-HALF = 0.5  # of the drive, after which a laser dies or hangs
+HALF = 0.5  # of the drive, after which a laser stops or repeats its scan
 WRONG_YAW_RAD = math.radians(5.0)
 
 Tamper = Callable[[list[Frame]], list[Frame]]
@@ -78,11 +78,11 @@ def outcome(ride: Ride, frames: Sequence[Frame], mountings: dict[str, SE2]) -> O
 def _after(half_ns: int, rear: Callable[[LaserScan, list[LaserScan]], Frame | None]) -> Tamper:
     def tamper(frames: list[Frame]) -> list[Frame]:
         tampered: list[Frame | None] = []
-        held: list[LaserScan] = []
+        rear_scans: list[LaserScan] = []
         for frame in frames:
             if isinstance(frame, LaserScan) and frame.sensor == "rear" and frame.stamp_ns > half_ns:
-                held.append(frame)
-                tampered.append(rear(frame, held))
+                rear_scans.append(frame)
+                tampered.append(rear(frame, rear_scans))
             else:
                 tampered.append(frame)
         return [frame for frame in tampered if frame is not None]
@@ -107,12 +107,12 @@ def lasers(seeds: Sequence[int]) -> Section:
             ("rear", (REAR,), mountings, None),
             ("front, rear and LUX", ALL, mountings, None),
             ("the same, rear and LUX 2 cm and 0.25 deg off their mountings", ALL, off, None),
-            ("the same, rear dies half-way", ALL, mountings, _after(half_ns, lambda scan, held: None)),
+            ("the same, rear stops at the half", ALL, mountings, _after(half_ns, lambda scan, since: None)),
             (
-                "the same, rear hangs half-way",
+                "the same, rear repeats its scan from the half on",
                 ALL,
                 mountings,
-                _after(half_ns, lambda scan, held: replace(scan, range_m=held[0].range_m)),
+                _after(half_ns, lambda scan, since: replace(scan, range_m=since[0].range_m)),
             ),
             ("the same, rear turned by 5 deg against its mounting", ALL, wrong, None),
             ("the same, rear turned by 180 deg against its mounting", ALL, reversed_rear, None),

@@ -37,7 +37,7 @@ THINNED = replace(COARSE, rate_hz=10.0, every=15)
 ODOMETRY_EACH = 20  # sample is kept: one each 0.3 s
 SLIP_EACH_M = 60.0
 SLIP_S = (0.5, 3.0)
-SLIP_WAY, SLIP_TURN = (0.0, 1.6), (0.7, 1.3)  # scales of what the wheels roll
+SLIP_DISTANCE, SLIP_TURN = (0.0, 1.6), (0.7, 1.3)  # scales of what the wheels roll
 LAST_S = 60.0
 BEGIN_NS = 1_795_000_000_000_000_000  # of a recording, UTC
 
@@ -58,14 +58,14 @@ def corridors(rng: np.random.Generator) -> World:
             low = length_m * column + HALF_M, depth_m * row + HALF_M
             high = low[0] + length_m - width_m, low[1] + depth_m - width_m
             walls_with_doors(plan, rng, low, high, 1)
-    way: list[Point] = []
+    path: list[Point] = []
     for row in range(ROWS + 1):
         ends = (0.0, east_m) if row % 2 == 0 else (east_m, 0.0)
-        way += [(x_m, depth_m * row) for x_m in ends]
+        path += [(x_m, depth_m * row) for x_m in ends]
     for column in range(COLUMNS, -1, -1):
         ends = (north_m, 0.0) if (COLUMNS - column) % 2 == 0 else (0.0, north_m)
-        way += [(length_m * column, y_m) for y_m in ends]
-    there = [way[0], *(b for a, b in pairwise(way) if a != b)]
+        path += [(length_m * column, y_m) for y_m in ends]
+    there = [path[0], *(b for a, b in pairwise(path) if a != b)]
     return driven_along("corridors", plan, there, SPEED_MPS)
 
 
@@ -75,7 +75,7 @@ def slipping(world: World, seed: int) -> Wheels:
     count = round(world.drive.length_m / SLIP_EACH_M)
     begins_s = np.sort(noise.uniform(0.0, world.drive.duration_s, count)).tolist()
     slips = tuple(
-        Slip(at_s, at_s + noise.uniform(*SLIP_S), noise.uniform(*SLIP_WAY), noise.uniform(*SLIP_TURN))
+        Slip(at_s, at_s + noise.uniform(*SLIP_S), noise.uniform(*SLIP_DISTANCE), noise.uniform(*SLIP_TURN))
         for at_s in begins_s
     )
     return Wheels(slips=slips)

@@ -1,4 +1,4 @@
-"""What single rules of loop closing are worth: each drive is mapped once, and its graph made without each."""
+"""Error without single rules of loop closing: each drive is mapped once, its graph once without each rule."""
 
 import math
 import tempfile
@@ -34,7 +34,7 @@ GRAPH = "service.mapper.graph"
 
 @dataclass(frozen=True)
 class Rule:
-    """Is in force unless the rest says otherwise."""
+    """Is in force unless `off` or `settings` switch it off."""
 
     what: str
     module: str = ""  # whose values are replaced by `off`
@@ -42,48 +42,48 @@ class Rule:
     settings: dict[str, float] = field(default_factory=dict)  # of LoopsConfig
     frame: Callable[[KeyFrame], KeyFrame] = lambda frame: frame
 
-    def poses(self, outputs: Sequence[MapperOutput], heard: "Heard") -> list[SE2]:
-        """Of all scans after the finish, as a graph without the rule has them."""
+    def poses(self, outputs: Sequence[MapperOutput], received: "GraphInput") -> list[SE2]:
+        """Of all scans after the finish, by a graph without the rule."""
         without = patch.multiple(self.module, **self.off) if self.off else nullcontext()
-        graph = LoopBackEnd(heard.config.model_copy(update=self.settings), None)
+        graph = LoopBackEnd(received.config.model_copy(update=self.settings), None)
         corrections: Sequence[Correction] = []
         with without:
-            for batch in heard.batches:
+            for batch in received.batches:
                 result = graph.work(replace(batch, frames=[*map(self.frame, batch.frames)]))
                 corrections = result.all or corrections
         return corrected(outputs, corrections)
 
 
 @dataclass
-class Heard:
-    """What the graph of one drive got."""
+class GraphInput:
+    """The input of the graph of one drive."""
 
     config: LoopsConfig
     batches: list[Batch] = field(default_factory=list)
 
 
 @contextmanager
-def listening() -> Iterator[list[Heard]]:
-    """All graphs that are made meanwhile; the one that got most is that of the drive."""
-    heard: dict[int, Heard] = {}
-    found: list[Heard] = []
+def listening() -> Iterator[list[GraphInput]]:
+    """All graphs made meanwhile; that of the drive is the one with most input."""
+    received: dict[int, GraphInput] = {}
+    found: list[GraphInput] = []
     init, work = LoopBackEnd.__init__, LoopBackEnd.work
 
     def begun(graph: LoopBackEnd, config: LoopsConfig, *arguments: Any, **named: Any) -> None:
-        heard[id(graph)] = Heard(config)
-        found.append(heard[id(graph)])
+        received[id(graph)] = GraphInput(config)
+        found.append(received[id(graph)])
         init(graph, config, *arguments, **named)
 
     def worked(graph: LoopBackEnd, batch: Batch) -> Any:
-        heard[id(graph)].batches.append(batch)
+        received[id(graph)].batches.append(batch)
         return work(graph, batch)
 
     with patch.multiple(LoopBackEnd, __init__=begun, work=worked):
         yield found
 
 
-def of_drive(found: Sequence[Heard]) -> Heard:
-    return max(found, key=lambda heard: sum(len(batch.frames) for batch in heard.batches))
+def of_drive(found: Sequence[GraphInput]) -> GraphInput:
+    return max(found, key=lambda received: sum(len(batch.frames) for batch in received.batches))
 
 
 def unmatched_unknown(frame: KeyFrame) -> KeyFrame:
@@ -155,7 +155,7 @@ def loop_rules(seeds: Sequence[int]) -> Section:
         lines.append(f"| {rule.what} | " + " | ".join(cells[k] for cells in columns.values()) + " |")
     return Section(
         "Error without single rules of the graph",
-        "Each drive is mapped once, and what its graph was told is told to one without the rule. Error after "
+        "Each drive is mapped once, and the input of its graph is given to one without the rule. Error after "
         "the finish in mm, median (worst) of the seeds; given recordings have one run each: RMS against the "
         "truth, or the mean of the relations for real ones.",
         tables=["\n".join(lines)],

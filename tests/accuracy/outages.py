@@ -62,8 +62,8 @@ class Outcome:
         self.ghosts.append(float(ghosts))
 
     def rows(self, where: str, has_to_be_found: bool) -> list[Row]:
-        """has_to_be_found: on known ground, that is. Where no one knows the way, places that look alike count
-        as known, and need not be distinguished.
+        """has_to_be_found: on known ground, that is. Without odometry, similar places count as known
+        and need not be distinguished.
         """
         rows = [
             Row("`ok` and wrong", self.wrong_ok, "scans", where, at_most=0.0, by_worst=True),
@@ -90,7 +90,7 @@ class Outcome:
 
 
 def is_on_known_ground(made: Drive, at_ns: int, after_ns: int) -> bool:
-    """Whether what the first scan after a fault sees was seen before it, by the true poses."""
+    """Whether the walls of the first scan after a fault were mapped before it, by the true poses."""
     all_scans = [f for f in made.frames if isinstance(f, LaserScan) and f.stamp_ns in made.truth]
     scans = [scan for scan in all_scans if scan.stamp_ns <= scan.arrived_ns]  # not the one with a wrong stamp
     before = [scan for scan in scans if scan.arrived_ns < at_ns][::EACH]
@@ -140,10 +140,10 @@ def outages_alone(seeds: Sequence[int]) -> Section:
             rows += outcome.rows(f"{name}, {what}", has_to_be_found=False)
     return Section(
         "Outages of a laser alone",
-        f"As above, without odometry and IMU: nobody measures the way while the laser is silent. {MOMENTS} "
+        f"As above, without odometry and IMU: the distance driven is not measured in the outage. {MOMENTS} "
         "moments of a lap; in most of them what lies ahead is not mapped yet. The bookcases of the "
-        "library stand 4 m apart and look alike: after 2 s more lies on the map one aisle back than on the "
-        "next one, which is not mapped yet.",
+        "library stand 4 m apart and look the same: after 2 s more lies on the map one aisle back than "
+        "on the next one, which is not mapped yet.",
         rows,
     )
 
@@ -198,11 +198,11 @@ def _within(frame: Frame, at_ns: int) -> bool:
 
 def _hung(made: Drive, at_ns: int) -> Drive:
     """The laser goes on sending the ranges of one scan under new stamps."""
-    held = next(f for f in made.frames if isinstance(f, LaserScan) and f.arrived_ns >= at_ns)
+    repeated = next(f for f in made.frames if isinstance(f, LaserScan) and f.arrived_ns >= at_ns)
     return replace(
         made,
         frames=[
-            replace(f, range_m=held.range_m) if isinstance(f, LaserScan) and _within(f, at_ns) else f
+            replace(f, range_m=repeated.range_m) if isinstance(f, LaserScan) and _within(f, at_ns) else f
             for f in made.frames
         ],
     )

@@ -1,4 +1,4 @@
-"""Freiburg 079 against its official relations: as recorded, and with odometry spoilt or scans missing."""
+"""Freiburg 079 against its official relations: as recorded, and with changed odometry or scans missing."""
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -72,11 +72,11 @@ class WithoutOdometry:
 
 
 class ScaledOdometry:
-    """Each step, way and turn, 1.2 times as large: wheels that are a fifth smaller than believed."""
+    """Each step, distance and turn, 1.2 times as large: wheels a fifth smaller than configured."""
 
     def __init__(self) -> None:
         self._last: SE2 | None = None
-        self._believed = SE2()
+        self._scaled = SE2()
 
     def __call__(self, type_name: str, payload: bytes) -> bytes | None:
         if type_name != ODOMETRY:
@@ -86,9 +86,9 @@ class ScaledOdometry:
         pose = SE2(sample.x_m, sample.y_m, sample.theta_rad)
         if self._last is not None:
             step = (self._last.inverse() @ pose).log()
-            self._believed @= SE2.exp(*(1.2 * rate for rate in step))
+            self._scaled @= SE2.exp(*(1.2 * rate for rate in step))
         self._last = pose
-        new = self._believed
+        new = self._scaled
         spoilt = replace(sample, x_m=new.x_m, y_m=new.y_m, theta_rad=new.theta_rad)
         return bytes(encode_frame(spoilt).payload)
 

@@ -1,4 +1,4 @@
-"""A vehicle that is switched on somewhere in a stored map: is it found, where it is, and how soon?"""
+"""Relocalisation of a vehicle that is switched on in a stored map: share, correctness, duration."""
 
 import gc
 import math
@@ -46,14 +46,14 @@ HALVES = ("fr079", "intel", "wean1")
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """A stored map, and where the vehicle truly was at its key frames."""
+    """A stored map, and the true poses of its key frames."""
 
     begin: BeginIn
     mountings: Mapping[str, SE2]
     true: Floats  # (K, 3) m, m, rad of each key frame, in any one frame
 
     def in_map(self, true: Floats) -> Floats:
-        """A true pose (3,) as the map has the place: seen from the nearest key frame."""
+        """A true pose (3,) in the map: relative to the nearest key frame."""
         k = int(np.argmin(self.away_m(true)))
         return se2.compose(self.begin.graph.map[k], se2.between(self.true[k], true))
 
@@ -64,11 +64,11 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Look:
-    """What came of one start."""
+class Start:
+    """Result of one start."""
 
     is_right: bool  # at its end
-    is_wrong: bool  # said to be found, and is not there, at its end
+    is_wrong: bool  # `ok` or `degraded` at another place, at its end
     was_wrong_ok: bool  # at any moment
     is_alike: (
         bool  # lost between two places that fit about as well, and one of those reported is the true one
@@ -80,20 +80,20 @@ class Look:
 
 
 @dataclass
-class Looks:
-    """Those of one kind."""
+class Starts:
+    """All starts of one kind."""
 
-    all: list[Look] = field(default_factory=list)
+    all: list[Start] = field(default_factory=list)
 
     def rows(self, case: str, how: str, cause: str = "", at_least: float | None = 98.0) -> list[Row]:
         count = len(self.all)
         if not count:
             return []
-        right = [look for look in self.all if look.is_right]
-        lost = [look for look in self.all if not look.is_right and not look.is_wrong]
-        alike = sum(look.is_alike for look in lost)
-        elsewhere = sum(look.is_likelier_elsewhere for look in lost)
-        wrong_ok = sum(look.was_wrong_ok for look in self.all)
+        right = [start for start in self.all if start.is_right]
+        lost = [start for start in self.all if not start.is_right and not start.is_wrong]
+        alike = sum(start.is_alike for start in lost)
+        elsewhere = sum(start.is_likelier_elsewhere for start in lost)
+        wrong_ok = sum(start.was_wrong_ok for start in self.all)
 
         def one(what: str, value: float, unit: str, **bounds: float) -> Row:
             return Row(f"{how}: {what}", [value], unit, case, digits=0, **bounds)  # type: ignore[arg-type]
@@ -109,15 +109,15 @@ class Looks:
                 cause=cause,
             ),
             one("lost", float(len(lost)), "places"),
-            one("lost between two that are alike, the true one told", float(alike), "places"),
+            one("lost between two that are alike, the true one reported", float(alike), "places"),
             one("lost, and likelier elsewhere", float(elsewhere), "places"),
-            one("wrong", float(sum(look.is_wrong for look in self.all)), "places", at_most=0.0),
+            one("wrong", float(sum(start.is_wrong for start in self.all)), "places", at_most=0.0),
             one("`ok` and wrong", float(wrong_ok), "places", at_most=0.0),
-            Row(f"{how}: off where right", [look.off_mm for look in right] or [math.nan], "mm", case),
-            Row(f"{how}: found after", [look.found_s for look in right] or [math.nan], "s", case),
+            Row(f"{how}: off where right", [start.off_mm for start in right] or [math.nan], "mm", case),
+            Row(f"{how}: found after", [start.found_s for start in right] or [math.nan], "s", case),
             Row(
                 f"{how}: longest search, processor",
-                [look.cpu_s for look in self.all],
+                [start.cpu_s for start in self.all],
                 "s",
                 case,
                 at_most=1.0,
@@ -129,19 +129,19 @@ class Looks:
 def relocalisation(seeds: Sequence[int]) -> Section:
     rows = []
     for name in BUILDINGS:
-        on_path, off_path, moving = Looks(), Looks(), Looks()
+        on_path, off_path, moving = Starts(), Starts(), Starts()
         for seed in seeds:
-            for looks, found in zip(
+            for starts, found in zip(
                 (on_path, off_path, moving), in_building(name, seed, PLACES // len(seeds)), strict=True
             ):
-                looks.all += found
+                starts.all += found
             gc.collect()
         rows += on_path.rows(name, f"standing within {ON_PATH_M:.0f} m of the path")
         rows += off_path.rows(name, "standing farther off", "the map has a part of what is seen from there")
         rows += moving.rows(name, "driving on")
     for name in HALVES:
         if (SHARED / "datasets" / name).exists():
-            rows += Looks(in_second_half(name, PLACES)).rows(f"{name}, second half", "driving on")
+            rows += Starts(in_second_half(name, PLACES)).rows(f"{name}, second half", "driving on")
     return Section(
         "Switched on in a stored map",
         f"The map of one drive of each seed. Places of the known free ground, at least {CLEARANCE_M} m from "
@@ -159,8 +159,8 @@ def relocalisation(seeds: Sequence[int]) -> Section:
     )
 
 
-def in_building(name: str, seed: int, count: int) -> tuple[list[Look], list[Look], list[Look]]:
-    """Standing on the way, standing off it, driving on."""
+def in_building(name: str, seed: int, count: int) -> tuple[list[Start], list[Start], list[Start]]:
+    """Standing on the path, standing off it, driving on."""
     make, laser, path_length_m = BUILDINGS[name]
     plain = make()
     world = begun_at(plain, heading_rad(seed))
@@ -168,22 +168,22 @@ def in_building(name: str, seed: int, count: int) -> tuple[list[Look], list[Look
     if path_length_m is not None:
         seconds += seconds_for(plain, path_length_m) - plain.drive.duration_s
     known, first = stored(world, laser, seconds, seed)
-    standing: list[list[Look]] = []
+    standing: list[list[Start]] = []
     for number, of_kind in enumerate(places(world, known, first, seed, count)):
         standing.append([])
         for k, place in enumerate(of_kind):
             here = replace(world, drive=plan_drive(place, [Pause(STAND_S + 1.0)]))
             made = drive(here, laser, STAND_S, 1000 * seed + 100 * number + k, Wheels(), stand_s=0.0)
             to_first = first.inverse() @ made.world_first
-            standing[-1].append(look(known, made.frames, _seen_from(to_first, made.truth)))
+            standing[-1].append(started(known, made.frames, _seen_from(to_first, made.truth)))
     moving = []
     for k, at_s in enumerate(np.linspace(0.0, seconds - MOVE_S, count).tolist()):
         made = drive(world, laser, MOVE_S, 1000 * seed + 500 + k, Wheels(), stand_s=-at_s)
-        moving.append(look(known, made.frames, _seen_from(first.inverse() @ made.world_first, made.truth)))
+        moving.append(started(known, made.frames, _seen_from(first.inverse() @ made.world_first, made.truth)))
     return standing[0], standing[1], moving
 
 
-def in_second_half(name: str, count: int) -> list[Look]:
+def in_second_half(name: str, count: int) -> list[Start]:
     """Of a recording: moments of its second half in the map of its first."""
     session = open_session([SHARED / "datasets" / name / f"{name}.mcap"])
     frames, mountings = list(session.frames()), session.mountings
@@ -202,12 +202,12 @@ def in_second_half(name: str, count: int) -> list[Look]:
     chosen = (
         [starts[k] for k in np.unique(np.linspace(0, len(starts) - 1, count).astype(int))] if starts else []
     )
-    looks = []
+    made = []
     for k in chosen:
         until_ns = frames[k].stamp_ns + round(MOVE_S * 1e9)
         here = [frame for frame in frames[k:] if frame.stamp_ns <= until_ns]
-        looks.append(look(known, here, whole))
-    return looks
+        made.append(started(known, here, whole))
+    return made
 
 
 def stored(world: World, laser: Laser, seconds: float, seed: int) -> tuple[Known, SE2]:
@@ -227,7 +227,7 @@ def _true_of(begin: BeginIn, truth: Mapping[int, Floats]) -> Floats:
 
 
 def places(world: World, known: Known, first: SE2, seed: int, count: int) -> tuple[list[SE2], list[SE2]]:
-    """In the frame of the world: near the way that was driven, and farther off; fewer where there is no
+    """In the frame of the world: near the path driven, and farther off; fewer where there is no
     ground of this kind.
     """
     shown, random = known.begin.shown, np.random.default_rng(seed)
@@ -253,7 +253,7 @@ def is_reported(detached: DetachedSearch, true: Floats) -> bool:
     return is_reported and abs(evidence_margin(detached, true)) < MIN_MARGIN_NATS
 
 
-def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> Look:
+def started(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> Start:
     """Begin in a map with these frames.
 
     truth   poses (3,) by the stamp of a scan, in the frame of known.true
@@ -276,7 +276,7 @@ def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> 
             mapper.apply_result()
         if not isinstance(frame, LaserScan) or output is None or output.stamp_ns not in truth:
             continue
-        if not np.isfinite(frame.range_m).any():  # a person stands on the laser: it says nothing
+        if not np.isfinite(frame.range_m).any():  # a person stands at the laser: it has no returns
             continue
         longest_s = max(longest_s, time.thread_time() - began_s)
         true = known.in_map(truth[output.stamp_ns])
@@ -291,7 +291,7 @@ def look(known: Known, frames: Sequence[Frame], truth: Mapping[int, Floats]) -> 
     elsewhere = not is_placed and not is_alike and evidence_margin(detached, true) <= 0.0
     mapper.graph.close()
     is_right = is_placed and not is_wrong
-    return Look(is_right, is_wrong, was_wrong_ok, is_alike, elsewhere, found_s, longest_s, 1e3 * off_m)
+    return Start(is_right, is_wrong, was_wrong_ok, is_alike, elsewhere, found_s, longest_s, 1e3 * off_m)
 
 
 def _off(true: Floats, output: MapperOutput) -> tuple[float, float]:
@@ -301,7 +301,7 @@ def _off(true: Floats, output: MapperOutput) -> tuple[float, float]:
 
 
 def _mapped(frames: Sequence[Frame], mountings: Mapping[str, SE2]) -> tuple[BeginIn, Mapping[int, Floats]]:
-    """The map of these frames, and where it has each scan in the end."""
+    """The map of these frames, and the final pose of each scan."""
     mapper = build_mapper(mapping_config(), mountings)
     outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]
     finished = mapper.finish()

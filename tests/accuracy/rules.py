@@ -1,4 +1,4 @@
-"""What single rules of the default profile are worth, on own drives and on given recordings."""
+"""Error of the default profile without single rules, on simulated drives and given recordings."""
 
 import math
 import tempfile

@@ -1,4 +1,4 @@
-"""Drives through scenes in which a source of motion is wrong: what happens, and what the sensors said."""
+"""Drives through scenes in which a source of motion is wrong: motion of the world and measurements."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from simulators.device import Beams
 from simulators.disturbances import Knock, Slip
-from simulators.trajectory import STEP_M, WAY, Limits, X, Y, drive_along
+from simulators.trajectory import PATH_LENGTH, STEP_M, Limits, X, Y, drive_along
 from simulators.truth import LaserTruth, Ride
 from simulators.world import World
 from simulators.worlds import WORLDS
@@ -22,13 +22,17 @@ from tests.simulated import Drive, GyroFault, Imu, Laser, Wheels, begun_at, driv
 
 STAND_S = 0.5
 BEFORE_S, AFTER_S = 12.0, 10.0  # still, before and after
-KNOT_M = 0.05  # of the spline through the way of a lap
+KNOT_M = 0.05  # of the spline through the path of a lap
 LEGS = Limits(acceleration_mps2=0.8, lateral_mps2=0.8, turn_rate_radps=1.2)
 MAX_PEOPLE = 14
 TRAINS_M = (1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0)
 TILT_RAD, LASER_HEIGHT_M = radians(3.0), 0.25
 RAMP_M = 2.6
-GAPS_M = {"office": 0.65, "ring": 0.65, "library": 1.0}  # from the middle of the vehicle to who walks beside
+GAPS_M = {
+    "office": 0.65,
+    "ring": 0.65,
+    "library": 1.0,
+}  # from the vehicle's middle to people beside it
 PLACES = tuple(GAPS_M)
 
 
@@ -56,7 +60,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Stage:
-    """What a scene changes: the world, the sensors, and what they said."""
+    """Changes of a scene: the world, the sensors, and the frames."""
 
     case: Case
     world: World
@@ -133,8 +137,8 @@ def _knocked(yaw_rad: float, stage: Stage) -> Stage:
     return replace(stage, laser=replace(stage.laser, knocks=(Knock(stage.from_s, stage.to_s, yaw_rad),)))
 
 
-def _slipping(way: float, turn: float, stage: Stage) -> Stage:
-    slips = (Slip(stage.from_s, stage.to_s, way, turn),)
+def _slipping(distance: float, turn: float, stage: Stage) -> Stage:
+    slips = (Slip(stage.from_s, stage.to_s, distance, turn),)
     return replace(stage, wheels=None if stage.wheels is None else replace(stage.wheels, slips=slips))
 
 
@@ -177,11 +181,13 @@ SCENES: dict[str, Scene] = {
     "ramp_alone": Scene(
         "the same, laser alone", lambda stage: _alone(_floor(RAMP_M, stage)), 4.0, is_bound=False
     ),
-    "knocked": Scene("the laser stands turned by 5 deg", partial(_knocked, radians(5.0))),
+    "knocked": Scene("the laser is turned by 5 deg", partial(_knocked, radians(5.0))),
     "wheels_frozen": Scene(
         "the wheels stand while the vehicle drives", partial(_slipping, 0.0, 0.0), is_bound=False
     ),
-    "wheels_spin": Scene("the wheels roll 1.5 times the way", partial(_slipping, 1.5, 1.0), is_bound=False),
+    "wheels_spin": Scene(
+        "the wheels roll 1.5 times the distance", partial(_slipping, 1.5, 1.0), is_bound=False
+    ),
     "towed": Scene(
         "wheels frozen and laser silent",
         lambda stage: _tampered(laser_silent, _slipping(0.0, 0.0, stage)),
@@ -232,17 +238,17 @@ def seconds_of(case: Case) -> float:
 
 
 def driven(world: World, moment: float, speed_mps: float, seconds: float) -> World:
-    """The world without its people, driven on the way of its lap for at least so long, from rest at this part
-    of the lap on. The lap has to close without a turn on the spot, as those of PLACES do.
+    """The world without its people, driven along its lap for at least so long, from rest at this part of the
+    lap on. The lap has to close without a turn on the spot, as those of PLACES do.
     """
     nodes = world.drive.nodes
-    way, first = np.unique(nodes[:, WAY], return_index=True)
-    knots = np.unique(np.searchsorted(way, np.arange(0.0, way[-1], KNOT_M)))
-    knots = np.append(knots[way[knots] < way[-1] - KNOT_M], len(way) - 1)
+    path_length_m, first = np.unique(nodes[:, PATH_LENGTH], return_index=True)
+    knots = np.unique(np.searchsorted(path_length_m, np.arange(0.0, path_length_m[-1], KNOT_M)))
+    knots = np.append(knots[path_length_m[knots] < path_length_m[-1] - KNOT_M], len(path_length_m) - 1)
     places = nodes[first][:, X : Y + 1][knots]
     places[-1] = places[0]  # of a lap
-    lap = CubicSpline(way[knots], places, bc_type="periodic")
-    begin_m = moment * way[-1]
+    lap = CubicSpline(path_length_m[knots], places, bc_type="periodic")
+    begin_m = moment * path_length_m[-1]
     along_m = np.arange(begin_m, begin_m + speed_mps * seconds + 1.0, STEP_M)
     return replace(world, people=(), drive=drive_along(lap(along_m), replace(LEGS, speed_mps=speed_mps)))
 

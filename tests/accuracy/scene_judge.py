@@ -1,4 +1,4 @@
-"""What a mapper said of its pose while something was wrong, against the truth."""
+"""Errors, states and covariances of a mapper during a scene, against the truth."""
 
 import math
 from collections.abc import Sequence
@@ -17,8 +17,8 @@ WRONG_M = 0.3  # a pose that is farther off must not be `ok`
 WITHIN_M, SIGMAS = 0.05, 3.0  # a pose within both needs no `degraded`
 NORMED = 3.76  # of three coordinates a distance of so many is as rare as SIGMAS of one
 RIGHT_M = 0.1
-ALLOWED_PERCENT = 2.0  # of the way, where the sources that are left are good
-MAP_NS = 2_000_000_000  # before the fault: where the map has the vehicle then is right
+ALLOWED_PERCENT = 2.0  # of the distance driven, where the remaining sources are good
+MAP_NS = 2_000_000_000  # before the fault: the pose in the map then counts as right
 MIN_COVARIANCE = np.diag([1e-8, 1e-8, 1e-10])  # the first scan of a map knows its pose without error
 
 
@@ -35,15 +35,15 @@ class Verdict:
     worst_m: float
     worst_deg: float  # of the heading
     fault_m: float  # off at the end of the fault
-    fault_percent: float  # of the way during it
+    fault_percent: float  # of the distance driven during it
     end_m: float
-    end_percent: float  # of the way since the fault began
+    end_percent: float  # of the distance driven since the fault began
     right_after_s: float  # the end of the fault: from then on within RIGHT_M and not lost; inf: never
     ghosts: int  # cells of the map
 
     @property
     def over_m(self) -> float:
-        """Off at the end of the fault by so much more than ALLOWED_PERCENT of the way during it."""
+        """Error at the end of the fault beyond ALLOWED_PERCENT of the distance driven during it, m."""
         if math.isnan(self.fault_percent):
             return self.fault_m
         return self.fault_m * (1.0 - ALLOWED_PERCENT / max(self.fault_percent, ALLOWED_PERCENT))
@@ -57,8 +57,8 @@ class Verdict:
 
 
 def errors_in_map(outputs: Sequence[MapperOutput], truth: Sequence[SE2], before_ns: int) -> Floats:
-    """(N, 3) m forward, m left, rad of each pose, against where the map of the time before before_ns has the
-    true one: the mean error of the last MAP_NS before is that of the map. Without scans then, as it is.
+    """(N, 3) m forward, m left, rad of each pose, against the true pose in the map of the time before
+    before_ns: the mean error of the last MAP_NS before is that of the map. Without scans then, as it is.
     """
     offsets = [
         (output.pose_map_base @ pose.inverse())

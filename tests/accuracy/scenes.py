@@ -71,7 +71,7 @@ def table(verdicts: Mapping[tuple[str, str], Sequence[Verdict]]) -> str:
     """In Markdown, a line for each scene and world: counts are sums, the others worst of all runs."""
     lines = [
         "| scene | world | runs | `ok`, 0.3 m off | `ok` beyond | needless | needless, still | lost "
-        "| off after it | of its way | off at the end | of the way | right after | ghosts |",
+        "| off after it | of its distance | off at the end | of the distance | right after | ghosts |",
         "|---|---|" + "---:|" * 12,
     ]
     for (scene, world), of in verdicts.items():
@@ -101,7 +101,7 @@ def scenes(seeds: Sequence[int]) -> Section:
             verdicts[name, "given"] = [replayed(name).verdict]
     return Section(
         "Scenes in which a source of motion is wrong",
-        f"Still for {BEFORE_S:.0f} s, then what the scene says, then still for {AFTER_S:.0f} s; LMS-100 "
+        f"Still for {BEFORE_S:.0f} s, then the scene, then still for {AFTER_S:.0f} s; LMS-100 "
         f"at 25 Hz, odometry of 5 mm and 0.17 deg per square root of a metre, IMU; {MOMENTS} moments of a "
         f"lap for each seed, at {', '.join(map(str, sorted(SPEEDS_MPS)))} m/s; people and trains are "
         f"{', '.join(f'{100 * share:.0f}' for share in sorted(SHARES))} % of the returns. Errors are against "
@@ -131,7 +131,10 @@ def rows(scene: str, of: Sequence[Verdict]) -> list[Row]:
     elif SCENES[scene].is_bound:
         made += [
             worst(
-                f"{scene}: off after it, beyond 2 % of its way", [v.over_m for v in of], "m", at_most=RIGHT_M
+                f"{scene}: off after it, beyond 2 % of its distance",
+                [v.over_m for v in of],
+                "m",
+                at_most=RIGHT_M,
             ),
             worst(f"{scene}: right after", [v.right_after_s for v in of], "s", at_most=2.0),
             worst(f"{scene}: ghosts", [v.ghosts for v in of], "cells", at_most=20.0),

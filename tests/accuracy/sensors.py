@@ -92,7 +92,7 @@ def wrong_odometry(seeds: Sequence[int]) -> Section:
         "Odometry that is wrong",
         "LMS-100 at 10 Hz, a lap. Dead: the pose of odometry never changes, or not any more after "
         f"{STOPS_AFTER_S:.0f} s. Backwards: the signs of x and y are wrong. That odometry with a fault does "
-        "not count, how the coarse start is held, and the match where the vehicle would be had it gone on "
+        "not count, how the coarse start is limited, and the match at the extrapolated pose "
         "were made with seeds 1, 11 and 12 of these places, dead, in view.",
         rows,
     )
@@ -114,14 +114,14 @@ def wrong_mounting(seeds: Sequence[int]) -> Section:
             is_wrong = off != SE2()
             bounds = {"at_least": 50.0} if is_wrong else {"at_most": 0.0}
             case = f"{place}, {what}"
-            rows.append(Row(f"{case}: scans that say so", facts, "%", by_worst=True, **bounds))
+            rows.append(Row(f"{case}: scans that report it", facts, "%", by_worst=True, **bounds))
             if is_wrong:
-                rows.append(Row(f"{case}: first said after", first_m, "m", digits=0))
+                rows.append(Row(f"{case}: first reported after", first_m, "m", digits=0))
     return Section(
         "A mounting that is wrong",
         "One LMS-100 at 50 Hz, a lap, odometry; the mounting that the mapper is given is off the true one. "
-        "The state is `degraded`, its reason says by how much, as odometry has it. Made with these places, "
-        "seed 11, and the given recordings in view.",
+        "The state is `degraded`, its reason states the difference by odometry. Made with these places, seed "
+        "11, and the given recordings in view.",
         rows,
     )
 
@@ -137,8 +137,10 @@ def _rows(
     ]
 
 
-def _said(change: Callable[[OdometrySample, OdometrySample], OdometrySample]) -> Callable[[Drive], Drive]:
-    """A drive whose odometry says something else.
+def _changed(
+    change: Callable[[OdometrySample, OdometrySample], OdometrySample],
+) -> Callable[[Drive], Drive]:
+    """A drive with changed odometry.
 
     change   is given a sample, and the last one before STOPS_AFTER_S
     """
@@ -157,36 +159,36 @@ def _said(change: Callable[[OdometrySample, OdometrySample], OdometrySample]) ->
 
 
 WRONG = {
-    "dead": _said(lambda sample, _: replace(sample, x_m=0.0, y_m=0.0, theta_rad=0.0)),
-    "dead after 20 s": _said(
+    "dead": _changed(lambda sample, _: replace(sample, x_m=0.0, y_m=0.0, theta_rad=0.0)),
+    "dead after 20 s": _changed(
         lambda sample, last: replace(sample, x_m=last.x_m, y_m=last.y_m, theta_rad=last.theta_rad)
     ),
-    "backwards": _said(lambda sample, _: replace(sample, x_m=-sample.x_m, y_m=-sample.y_m)),
+    "backwards": _changed(lambda sample, _: replace(sample, x_m=-sample.x_m, y_m=-sample.y_m)),
 }
 
 
-class HeldOdometry:
-    """Stamps go on; what stands behind the header stays as it was in the sample before."""
+class FrozenOdometry:
+    """Stamps go on; the bytes after the header stay those of the sample before."""
 
     HEADER_BYTES = 12  # of CDR, and the stamp
 
     def __init__(self, after: int) -> None:
-        """after: so many samples are as they were."""
+        """after: so many samples are unchanged."""
         self._left = after
-        self._held = b""
+        self._kept = b""
 
     def __call__(self, type_name: str, payload: bytes) -> bytes | None:
         if type_name != ODOMETRY:
             return payload
         self._left -= 1
-        if self._left >= 0 or not self._held:
-            self._held = payload[self.HEADER_BYTES :]
+        if self._left >= 0 or not self._kept:
+            self._kept = payload[self.HEADER_BYTES :]
             return payload
-        return payload[: self.HEADER_BYTES] + self._held
+        return payload[: self.HEADER_BYTES] + self._kept
 
 
-def held_odometry(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
-    title = "Odometry that stands"
+def frozen_odometry(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
+    title = "Odometry that is frozen"
     if not recording_of(RECORDINGS[0]).exists():
         return Section(title, f"Left out: {recording_of(RECORDINGS[0])} is not there; set CORRIDOR_SHARED.")
     rows: list[Row] = []
@@ -194,13 +196,13 @@ def held_odometry(seeds: Sequence[int]) -> Section:  # recordings: seeds change 
         for name in RECORDINGS:
             recording = recording_of(name)
             for what, share in (("from the begin", 0.0), ("from the half on", 0.5)):
-                held, out = Path(folder) / "held.mcap", Path(folder) / f"{name}_{share}"
-                rewrite(recording, held, HeldOdometry(int(share * _samples(recording))))
-                rows += _held_rows(f"{name}, {what}", held, recording.with_suffix(".tum"), out)
+                frozen, out = Path(folder) / "frozen.mcap", Path(folder) / f"{name}_{share}"
+                rewrite(recording, frozen, FrozenOdometry(int(share * _samples(recording))))
+                rows += _frozen_rows(f"{name}, {what}", frozen, recording.with_suffix(".tum"), out)
     return Section(
         title,
-        "Recordings of another simulator; the pose of odometry stays what it is, as of a dead encoder or a "
-        "driver that repeats its last message; scans and IMU are as they were. ATE after the finish. One run "
+        "Recordings of another simulator; the pose of odometry stays the same, as of a dead encoder or a "
+        "driver that repeats its last message; scans and IMU are unchanged. ATE after the finish. One run "
         "each. The rule of [30] in estimator.md was made with all of them in view.",
         rows,
     )
@@ -212,7 +214,7 @@ def _samples(recording: Path) -> int:
         return sum(schema is not None and schema.name == ODOMETRY for schema, _, _ in messages)
 
 
-def _held_rows(what: str, recording: Path, truth: Path, out: Path) -> list[Row]:
+def _frozen_rows(what: str, recording: Path, truth: Path, out: Path) -> list[Row]:
     done = mapped(recording, out)
     finished = against_truth(out / "trajectory.tum", truth)
     off_m, _ = off_and_nees(done, truth)

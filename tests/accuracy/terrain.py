@@ -102,8 +102,8 @@ def campus(rng: np.random.Generator) -> World:
     walls_with_doors(plan, rng, (-half_m, -half_m), (lengths[0] + half_m, lengths[1] + half_m), -1)
     for west, east in ((0.0, 55.0), (55.0, 110.0)):
         walls_with_doors(plan, rng, (west + half_m, half_m), (east - half_m, 60.0 - half_m), 1)
-    way = [(0, 0), (110, 0), (110, 60), (0, 60), (0, 0), (55, 0), (55, 60), (110, 60), (110, 0), (50, 0)]
-    return driven_along("campus", plan, way)
+    path = [(0, 0), (110, 0), (110, 60), (0, 60), (0, 0), (55, 0), (55, 60), (110, 60), (110, 0), (50, 0)]
+    return driven_along("campus", plan, path)
 
 
 def walls_with_doors(plan: Plan, rng: np.random.Generator, low: Point, high: Point, side: int) -> None:
@@ -132,8 +132,8 @@ def car_park(rng: np.random.Generator) -> World:
         for x_m in np.arange(1.5, 59.0, 2.5):
             if rng.random() < 0.45 and x_m % 7.5 > 0.9:
                 plan.box((float(x_m), y_m + float(rng.choice([-2.6, 2.6]))), (1.8, 4.3))
-    way = [(-2, 0), (62, 0), (62, 10), (-2, 10), (-2, 20), (62, 20), (62, 30), (-2, 30), (-2, 40), (62, 40)]
-    return driven_along("car_park", plan, [*way, (62, 30)])
+    path = [(-2, 0), (62, 0), (62, 10), (-2, 10), (-2, 20), (62, 20), (62, 30), (-2, 30), (-2, 40), (62, 40)]
+    return driven_along("car_park", plan, [*path, (62, 30)])
 
 
 def warehouse(rng: np.random.Generator) -> World:
@@ -143,8 +143,8 @@ def warehouse(rng: np.random.Generator) -> World:
         for y_m in (15.0, 35.0):
             size = float(rng.uniform(7.0, 8.5)), float(rng.uniform(11.0, 13.5))
             plan.box((14.0 + 16.0 * k, y_m), size)
-    way = [(4, 4), (86, 4), (86, 25), (4, 25), (4, 46), (86, 46), (86, 25), (54, 25), (54, 4), (4, 4)]
-    return driven_along("warehouse", plan, [*way, (4, 20)])
+    path = [(4, 4), (86, 4), (86, 25), (4, 25), (4, 46), (86, 46), (86, 25), (54, 25), (54, 4), (4, 4)]
+    return driven_along("warehouse", plan, [*path, (4, 20)])
 
 
 def vines(rng: np.random.Generator) -> World:
@@ -158,31 +158,33 @@ def vines(rng: np.random.Generator) -> World:
                 place = float(x_m + rng.normal(0.0, 0.1)), float(apart_m * k + rng.normal(0.0, 0.06))
                 size = float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.2, 0.5))
                 plan.box(place, size, float(rng.uniform(0.0, 90.0)))
-    way = _to_and_fro(-2.5, length_m + 2.5, [apart_m * (k + 0.5) for k in range(rows)])
-    return driven_along("vines", plan, [*way, (-2.5, -3.0), (0.5 * length_m, -3.0)], 0.8)
+    path = _to_and_fro(-2.5, length_m + 2.5, [apart_m * (k + 0.5) for k in range(rows)])
+    return driven_along("vines", plan, [*path, (-2.5, -3.0), (0.5 * length_m, -3.0)], 0.8)
 
 
 def courtyard(rng: np.random.Generator) -> World:
     plan = Plan()
-    way = [(0, 0), (30, -4), (55, 5), (60, 35), (40, 55), (10, 50), (-8, 30), (0, 2), (25, 20), (35, 40)]
+    path = [(0, 0), (30, -4), (55, 5), (60, 35), (40, 55), (10, 50), (-8, 30), (0, 2), (25, 20), (35, 40)]
     for _ in range(9):
         size = rng.uniform(8.0, 20.0, 2)
         clear_m = 0.5 * float(np.hypot(*size)) + 2.5
-        place = _beside(rng, way, (-35.0, -35.0), (95.0, 90.0), clear_m)
+        place = _beside(rng, path, (-35.0, -35.0), (95.0, 90.0), clear_m)
         plan.box(place, (float(size[0]), float(size[1])), float(rng.uniform(0.0, 90.0)))
     for _ in range(40):
-        plan.post(_beside(rng, way, (-20.0, -20.0), (80.0, 70.0), 2.0), float(rng.uniform(0.1, 0.4)))
+        plan.post(_beside(rng, path, (-20.0, -20.0), (80.0, 70.0), 2.0), float(rng.uniform(0.1, 0.4)))
     for _ in range(15):
-        plan.box(_beside(rng, way, (-20.0, -20.0), (80.0, 70.0), 3.5), (4.2, 1.7), float(rng.uniform(0, 180)))
-    return driven_along("courtyard", plan, way)
+        plan.box(
+            _beside(rng, path, (-20.0, -20.0), (80.0, 70.0), 3.5), (4.2, 1.7), float(rng.uniform(0, 180))
+        )
+    return driven_along("courtyard", plan, path)
 
 
 def wood(rng: np.random.Generator) -> World:
     plan = Plan()
-    way = [(10, 10), (50, 10), (50, 50), (10, 50), (10, 12)]
+    path = [(10, 10), (50, 10), (50, 50), (10, 50), (10, 12)]
     for _ in range(260):
-        plan.post(_beside(rng, way, (0.0, 0.0), (60.0, 60.0), 1.2), float(rng.uniform(0.06, 0.25)))
-    return driven_along("wood", plan, way)
+        plan.post(_beside(rng, path, (0.0, 0.0), (60.0, 60.0), 1.2), float(rng.uniform(0.06, 0.25)))
+    return driven_along("wood", plan, path)
 
 
 def shelves(rng: np.random.Generator) -> World:
@@ -195,8 +197,8 @@ def shelves(rng: np.random.Generator) -> World:
                 plan.box((float(x_m) + 0.65, apart_m * k), (float(rng.uniform(0.5, 1.0)), 0.8))
     high_y_m = aisles * apart_m + 6.0
     plan.line((-6, -6), (length_m + 6, -6), (length_m + 6, high_y_m), (-6, high_y_m), (-6, -6))
-    way = _to_and_fro(-2.0, length_m + 2.0, [apart_m * (k + 0.5) for k in range(aisles)])
-    return driven_along("shelves", plan, [*way, (length_m + 2.0, -3.0), (-3.5, -3.0), (-3.5, 1.4)])
+    path = _to_and_fro(-2.0, length_m + 2.0, [apart_m * (k + 0.5) for k in range(aisles)])
+    return driven_along("shelves", plan, [*path, (length_m + 2.0, -3.0), (-3.5, -3.0), (-3.5, 1.4)])
 
 
 def tunnel(rng: np.random.Generator) -> World:
@@ -209,8 +211,8 @@ def tunnel(rng: np.random.Generator) -> World:
         aside_m = float(rng.choice([-1, 1])) * (0.5 * width_m - 0.15)
         place = _on_ellipse(a_m + aside_m, b_m + aside_m, rng.uniform(0.0, 2.0 * math.pi))
         plan.box(place, (0.3, 0.3), float(rng.uniform(0.0, 90.0)))
-    way = [_on_ellipse(a_m, b_m, t) for t in np.linspace(0.0, 2.1 * math.pi, 130)]
-    return driven_along("tunnel", plan, way)
+    path = [_on_ellipse(a_m, b_m, t) for t in np.linspace(0.0, 2.1 * math.pi, 130)]
+    return driven_along("tunnel", plan, path)
 
 
 def _on_ellipse(a_m: float, b_m: float, angle_rad: float) -> Point:
@@ -222,19 +224,21 @@ def _to_and_fro(low_x_m: float, high_x_m: float, rows_y_m: Sequence[float]) -> l
     return [(x_m, y_m) for k, y_m in enumerate(rows_y_m) for x_m in ends[k % 2]]
 
 
-def _beside(rng: np.random.Generator, way: Sequence[Point], low: Point, high: Point, clear_m: float) -> Point:
-    """A random place at least `clear_m` beside the way."""
+def _beside(
+    rng: np.random.Generator, path: Sequence[Point], low: Point, high: Point, clear_m: float
+) -> Point:
+    """A random place at least `clear_m` beside the path."""
     while True:
         place = rng.uniform(low, high)
-        if off_walls_m(place[None], np.hstack((way[:-1], way[1:])))[0] > clear_m:
+        if off_walls_m(place[None], np.hstack((path[:-1], path[1:])))[0] > clear_m:
             return float(place[0]), float(place[1])
 
 
-def driven_along(name: str, plan: Plan, way: Sequence[Point], speed_mps: float = 1.0) -> World:
-    """From the first point of the way to its last, and a pause."""
-    (x_m, y_m), (next_x_m, next_y_m) = way[0], way[1]
+def driven_along(name: str, plan: Plan, path: Sequence[Point], speed_mps: float = 1.0) -> World:
+    """From the first point of the path to its last, and a pause."""
+    (x_m, y_m), (next_x_m, next_y_m) = path[0], path[1]
     heading = math.atan2(next_y_m - y_m, next_x_m - x_m)
-    legs = [Follow([(float(x), float(y)) for x, y in way[1:]]), Pause(1.0)]
+    legs = [Follow([(float(x), float(y)) for x, y in path[1:]]), Pause(1.0)]
     return make_world(name, plan, [], plan_drive(SE2(x_m, y_m, heading), legs, Limits(speed_mps=speed_mps)))
 
 

@@ -1,4 +1,4 @@
-"""Odometry whose signs are wrong, where a corridor says little of the way along it."""
+"""Odometry whose signs are wrong, where a corridor hardly constrains the position along."""
 
 import math
 
@@ -27,7 +27,7 @@ def test_odometry_backwards_is_not_followed_in_a_corridor() -> None:
 
 
 @pytest.mark.parametrize("seed", [11, in_soak(31)])
-def test_a_laser_on_new_ground_is_neither_named_nor_drawn_along_the_corridor(seed: int) -> None:
+def test_a_laser_on_new_ground_is_neither_named_nor_shifted_along_the_corridor(seed: int) -> None:
     """The LUX ahead has the first scan; the UTM-30LX behind sees 1 % of what it saw, at rest for 0.7 s."""
     ride = Ride(WORLDS["ring"](), 0, 0.5)
     mapper = build_mapper(mapping_config(), {laser.name: laser.mounting for laser in ALL})

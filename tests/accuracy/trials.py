@@ -1,4 +1,4 @@
-"""What is hard in one way: turns, stops, crowds, bad returns, nothing to hold on to, an hour in one place."""
+"""Single difficulties: turns, stops, crowds, bad returns, featureless walls, an hour in one place."""
 
 import math
 from collections.abc import Sequence
@@ -125,7 +125,7 @@ def parked(seeds: Sequence[int]) -> Section:
 
 
 def ghost_cells(world: World, drive: Drive, done: Run, lately_s: float = GHOST_AFTER_S) -> int:
-    """Cells shown occupied where there is neither a wall nor was anybody in the last lately_s."""
+    """Cells shown occupied without a wall there, nor a person in the last lately_s."""
     tiles: list[TileUpdate] = done.mapper.changed_tiles()
     places = points_from(np.array(drive.world_first), np.vstack([_occupied(tile) for tile in tiles]))
     places = places[off_walls_m(places, world.segments) >= GHOST_WALL_M]
@@ -157,7 +157,7 @@ def _against(what: str, errors_mm: list[float], clean_mm: list[float]) -> list[R
 
 
 def _wheels_end_m(drive: Drive) -> float:
-    """How far off the odometry alone is at the last scan."""
+    """Position error of the odometry alone at the last scan, m."""
     samples = [frame for frame in drive.frames if isinstance(frame, OdometrySample)]
     stamps = np.array([sample.stamp_ns for sample in samples])
 
@@ -177,5 +177,5 @@ def _reported_share(done: Run) -> float:
 
 
 def _crowd_s(world: World) -> float:
-    """Until everybody is gone for long enough that no ghost may be left."""
+    """Until all people have been gone for GHOST_AFTER_S."""
     return world.drive.duration_s - LEAVING_S

@@ -35,7 +35,7 @@ SCENARIOS: dict[str, Callable[[Sequence[int]], Section]] = {
         *(given.given, recorded.recorded, buildings.buildings, buildings.laser_alone, buildings.ring),
         *(known_map.known_map, consistency.consistency, trials.motion, trials.bad_returns),
         *(trials.bare_corridor, buildings.big_mall, terrain.coarse_laser, terrain.terrain),
-        *(sensors.slow_mirrors, sensors.wrong_odometry, sensors.held_odometry),
+        *(sensors.slow_mirrors, sensors.wrong_odometry, sensors.frozen_odometry),
         *(sensors.wrong_mounting, sensors.lux_alone, anchored.anchored, trials.parked, lasers.lasers),
         *(outages.outages, outages.outages_alone, scenes.scenes, long_drives.thinned),
         *(long_drives.hour_of_laps, relocalisation.relocalisation, cost.scans, cost.replay_of_fr079),

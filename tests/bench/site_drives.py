@@ -1,5 +1,5 @@
-"""Drives of one simulated site, parts of a lap from several starts, both ways: a ring of corridors, an office
-and a mall that passages join.
+"""Drives of one simulated site, parts of a lap from several starts, in both directions: a ring of corridors,
+an office and a mall that passages join.
 """
 
 from dataclasses import replace
@@ -11,7 +11,7 @@ import numpy as np
 from service.geometry import poses as se2
 from service.geometry.se2 import SE2
 from service.offline.score.trajectory import write_tum
-from simulators.trajectory import THETA, TURN_RATE, WAY, Floats, Follow, Limits, Pause, plan_drive
+from simulators.trajectory import PATH_LENGTH, THETA, TURN_RATE, Floats, Follow, Limits, Pause, plan_drive
 from simulators.world import Plan, Point, World, make_world
 from simulators.worlds.corridors import ring
 from simulators.worlds.floor import floor
@@ -30,7 +30,7 @@ PARTS = {  # each with the pose of its start, and where the corner of its plan l
     office: (START, (-32.0, 9.2)),
     mall: (SE2(10.0, 5.0, 0.0), (0.0, 0.0)),
 }
-PASSAGES_M = {16.0: (-9.0, 0.4), 46.0: (-8.5, 0.4)}  # at y, from x to x: what stands there is taken out
+PASSAGES_M = {16.0: (-9.0, 0.4), 46.0: (-8.5, 0.4)}  # at y, from x to x: walls there are removed
 HALF_PASSAGE_M = 1.2
 LAP = [
     *[(5, 16), (5, 35), (32, 35), (32, 65), (5, 65), (5, 46)],
@@ -78,18 +78,18 @@ def site() -> World:
 def outside_passages(first: Floats, last: Floats) -> list[tuple[Point, Point]]:
     """The parts of a wall (2,) to (2,) that stand in no passage."""
     shares = {0.0, 1.0}
-    way = last - first
+    along = last - first
     for y_m, (left_m, right_m) in PASSAGES_M.items():
         for axis, edges in ((0, (left_m, right_m)), (1, (y_m - HALF_PASSAGE_M, y_m + HALF_PASSAGE_M))):
-            shares |= {(edge - first[axis]) / way[axis] for edge in edges if way[axis]}
+            shares |= {(edge - first[axis]) / along[axis] for edge in edges if along[axis]}
     kept = []
     for low, high in pairwise(sorted(share for share in shares if 0.0 <= share <= 1.0)):
-        x_m, y_m = first + 0.5 * (low + high) * way
+        x_m, y_m = first + 0.5 * (low + high) * along
         if not any(
             left_m < x_m < right_m and abs(y_m - middle_m) < HALF_PASSAGE_M
             for middle_m, (left_m, right_m) in PASSAGES_M.items()
         ):
-            begin, end = (first + share * way for share in (low, high))
+            begin, end = (first + share * along for share in (low, high))
             kept.append(((float(begin[0]), float(begin[1])), (float(end[0]), float(end[1]))))
     return kept
 
@@ -97,7 +97,7 @@ def outside_passages(first: Floats, last: Floats) -> list[tuple[Point, Point]]:
 def backwards(world: World) -> World:
     """The same lap, driven from its end to its begin."""
     nodes = world.drive.nodes[::-1].copy()
-    nodes[:, WAY] = nodes[0, WAY] - nodes[:, WAY]
+    nodes[:, PATH_LENGTH] = nodes[0, PATH_LENGTH] - nodes[:, PATH_LENGTH]
     nodes[:, THETA] += np.pi
     nodes[:, TURN_RATE] *= -1.0
     return replace(world, drive=replace(world.drive, nodes=nodes))
