@@ -1,6 +1,6 @@
 """Li et al. 2016: niches, people who walk through, a ring with and without deskewing, a long corridor.
 
-The maps of niches and people are fed with true poses, so their figures are their own and not the matcher's.
+The maps of niches and people are made at true poses, so their errors are not those of the matcher.
 """
 
 import math
@@ -31,7 +31,7 @@ LONG_SEEDS = 2  # of the corridor of 100 m: each takes a minute
 RETURN_M = 2.0
 PAIRED_SCANS = 500  # A8
 OURS, INERTIAL, PAIRS = "`contour_lm`", "`owolm_eskf` with an IMU", "pairwise ICP"
-HELD_BACK = "in a bare corridor its own far points hold it back"
+BIASED = "in a bare corridor its own far points bias it backwards"
 TURN_RADPS = 0.5 * math.pi
 AT_M = 5.0
 BLUR_ALONE = "what keeps a niche open is that a contour ends at 15 cm, not how it is blurred"
@@ -73,7 +73,7 @@ def in_the_mouths(what: Drive, config: ContourMapConfig) -> float:
 
 
 def niches(seeds: Sequence[int]) -> Section:
-    """A46 A10, and A19 by the way."""
+    """A46 A10 A19."""
 
     def mouths(config: ContourMapConfig) -> list[float]:
         return [in_the_mouths(niche_drive(seed), config) for seed in seeds]
@@ -165,7 +165,7 @@ def thinned(what: Drive, every: int) -> Drive:
 
 
 def ring(seeds: Sequence[int]) -> Section:
-    """A47 A5, on twice as many seeds as asked for: what deskewing changes is small, and differs by seed."""
+    """A47 A5, on twice as many seeds as asked for: the effect of deskewing is small, and differs by seed."""
     seeds = range(seeds[0], seeds[0] + 2 * len(seeds))
     world = build_world("ring")
     rides = [thinned(at_phase(world, world.drive.duration_s + 0.5, seed), 2) for seed in seeds]
@@ -241,7 +241,7 @@ def pairwise(seeds: Sequence[int]) -> Section:
                 at_least=1.0,
                 by_worst=True,
                 digits=1,
-                cause=HELD_BACK,
+                cause=BIASED,
             )
         )
     return Section(
@@ -351,7 +351,7 @@ def lone_points(seeds: Sequence[int]) -> Section:  # recordings: seeds change no
         rows += error_row("A15", "with lone points: ", "contour_lm", name, settings=lone)
     return Section(
         "Points outside all contours",
-        "Such points are left out of the map (default), or drawn as "
+        "Such points are left out of the map (default), or inserted as "
         "blobs (`lone_points: true`). aces and csail are "
         "real buildings, mean error of their relations, which are good to 5 to 10 cm; the others are of "
         "another simulator, ATE after the rigid motion that fits best.",

@@ -1,4 +1,4 @@
-"""Maps of Li et al. 2016 fed with true poses: what they show is their own doing and not the matcher's."""
+"""Maps of Li et al. 2016 at true poses: their errors are not those of the matcher."""
 
 import numpy as np
 

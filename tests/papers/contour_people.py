@@ -16,12 +16,12 @@ from tests.papers.true_poses import true_scans
 from tests.simulated import LMS100_50HZ, Drive, begun_beside, drive, off_walls_m
 
 CROSSING_M = 3.0  # ahead of the vehicle
-CROSSED_M = (CROSSING_M - 0.28, CROSSING_M - 0.08, -0.9, 0.9)  # the side of a person that is seen
+CROSSED_M = (CROSSING_M - 0.28, CROSSING_M - 0.08, -0.9, 0.9)  # the side of a person that returns the beams
 WALKED_M = (0.8, 5.5, -2.3, 2.3)
 LOBBY_SEED = 5
 NEAR_M = 5.5  # up to here neighbouring beams fall into neighbouring cells of 5 cm
 LOBBY_SEEDS = 3  # each takes a minute
-WALLS = 0.97  # of 1: what of a wall is to stay
+WALLS = 0.97  # of 1: share of a wall's likelihood that is to stay
 PHASES_M = np.arange(0.0, 0.05, 0.005)  # across a cell of learning_config
 
 
@@ -33,7 +33,7 @@ def crossed_corridor() -> World:
 
 
 def lobby() -> World:
-    """Six people walk random ways before the vehicle, and are gone from the 60th second on.
+    """Six people walk random paths before the vehicle, and are gone from the 60th second on.
 
     They stay where neighbouring beams are less than a cell of 5 cm apart: each cell they leave is seen.
     """
@@ -70,7 +70,7 @@ def people(
     walked_m: Window,
     picture: str,
 ) -> Section:
-    """A48, A49: what is left where people walked, and of the walls, with both updates."""
+    """A48, A49: likelihoods where people walked, and of the walls, with both updates."""
     rides = [at_phase(world, seconds, seed) for seed in seeds]
     variants = (("printed", True), ("printed", False), ("averaged", True))
     maps = {variant: [learn(ride, learning_config(*variant)) for ride in rides] for variant in variants}

@@ -1,4 +1,4 @@
-"""Pictures of Li et al. 2016: what two maps make of niches, and of people."""
+"""Pictures of Li et al. 2016: niches and people in two maps."""
 
 import numpy as np
 import numpy.typing as npt

@@ -1,4 +1,4 @@
-"""Li et al. 2016: sum against product in the rough search, and from how far off a scan is brought back."""
+"""Li et al. 2016: sum against product in the rough search, and from how far off a scan is aligned."""
 
 import math
 
@@ -36,11 +36,11 @@ def starts(what: Drive, beams: BeamsConfig, seed: int) -> Section:
     for off_m, off_deg in OFFSETS:
         away = [
             SE2(
-                off_m * math.cos(way),
-                off_m * math.sin(way),
+                off_m * math.cos(direction_rad),
+                off_m * math.sin(direction_rad),
                 float(noise.choice((-1, 1))) * math.radians(off_deg),
             )
-            for way in noise.uniform(0.0, 2.0 * math.pi, SCANS)
+            for direction_rad in noise.uniform(0.0, 2.0 * math.pi, SCANS)
         ]
         for name, sigmas, local_map in (
             ("search, then three levels", 2.0, pyramid),
@@ -78,7 +78,7 @@ def same_place(scans: list[tuple[Points, Match]], local_map: ContourMap) -> floa
 def brought_back(
     scans: list[tuple[Points, Match]], away: list[SE2], local_map: ContourMap, window_sigmas: float
 ) -> float:
-    """% of scans that the matcher aligns where they belong, begun so far away."""
+    """% of scans that the matcher aligns at the true pose, begun so far away."""
     matcher = ContourLm(ContourLmConfig(search=SearchConfig(window_sigmas=window_sigmas)))
     wide = np.diag([0.25, 0.25, 0.175]) ** 2
     back = 0

@@ -25,9 +25,9 @@ MATCHERS = {"icp_scan_to_scan": "ICP", "monte_carlo": "Monte Carlo", "icp_then_s
 PUBLISHED_M = {"icp_scan_to_scan": (1.2, 4.4), "monte_carlo": (0.77, 0.86), "icp_then_search": (0.02, 0.09)}
 PUBLISHED_MS = {"icp_scan_to_scan": 32.0, "monte_carlo": 45.0, "icp_then_search": 112.0}
 EARLY = 10  # epochs, of 0.28 m each
-FAR_BEAMS = 16  # of a scan in the room hit the wall 14 m ahead; no other wall tells how far it is
+FAR_BEAMS = 16  # of a scan in the room hit the wall 14 m ahead; no other wall constrains the distance to it
 IN_ROOM_M = 0.02  # C25
-HALL_SEEDS = 1  # half a minute each, and noise has little say in time and memory
+HALL_SEEDS = 1  # half a minute each; noise hardly changes time and memory
 
 # C22 C23: sigma 4 cm, 20 m; a beam of 1 cm at 7 m.
 MODEL = LaserModel(
@@ -50,22 +50,22 @@ LUX_25HZ = Laser(MODEL, 441, 25.0, -55.0, 0.25, SE2())
 RECORDED = ("fgi_s1", "fgi_ccw_s1")
 SLIP = (
     "the whole error is along the corridor: between 12 and 17 m the search, which has no prior, slips by "
-    "0.25 m against the scans drawn before, and nothing takes that out later"
+    "0.25 m against the scans inserted before, and nothing corrects that later"
 )
 FIRST_SCANS = (
     "the first scan knows the far wall to 1 cm only, by which alone the worst of ten is beyond in 37 % of "
-    "cases, and a scan that is off by more is drawn there and stays: nothing is averaged or forgotten"
+    "cases, and a scan that is off by more is inserted there and stays: nothing is averaged or removed"
 )
 SLIP_BEFORE_THE_GLASS = (
     "in one seed of five nearly all of it, 0.08 m, is there before the glass: the search, which has no "
-    "prior, slips along the corridor against the scans drawn before, and nothing takes that out later"
+    "prior, slips along the corridor against the scans inserted before, and nothing corrects that later"
 )
 BY_CHANCE = "in some seeds the search by chance happens to stay near"
 MOUNTINGS = {"front": SE2()}
 
 
 def mapped(matcher: str, what: Drive, /, **settings: object) -> Run:
-    if matcher != "icp_then_search":  # what others are measured by draws every scan, as they do
+    if matcher != "icp_then_search":  # the methods compared insert every scan
         settings = {"local_map": {"insert_distance_m": 0.0}} | settings
     section = {"profile": "imle", "components": {"matcher": matcher}, "settings": settings}
     return run(mapping_config(section), what, MOUNTINGS)
@@ -153,16 +153,16 @@ def accuracy_in_corridor(seeds: Sequence[int]) -> Section:
 
 
 def every_scan(seeds: Sequence[int]) -> Section:
-    """C26 with all that the scanner gives."""
+    """C26 with all scans of the scanner."""
     rides = [
         drive(at_phase("glass_corridor", seed), LUX_25HZ, 138.0, seed, Wheels(scale=1.01), Imu())
         for seed in seeds
     ]
     found = [rms_m(mapped("icp_then_search", ride)) for ride in rides]
-    drawn = rms_m(mapped("icp_then_search", rides[0], local_map={"insert_distance_m": 0.0}))
+    inserted = rms_m(mapped("icp_then_search", rides[0], local_map={"insert_distance_m": 0.0}))
     rows = [
         Row("IMLE: RMS of the position", found, "m", "C26", at_most=0.09, by_worst=True),
-        Row(f"every scan drawn, seed {seeds[0]}: RMS of the position", [drawn], "m", "C26"),
+        Row(f"every scan inserted, seed {seeds[0]}: RMS of the position", [inserted], "m", "C26"),
     ]
     for name in RECORDED:
         rows += error_row("C26", "IMLE: ATE of the recording ", "imle", name, at_most=0.09, cause=SLIP)
@@ -195,7 +195,7 @@ def accuracy(title: str, ids: str, text: str, runs: Runs, column: int, bound_m: 
                 cause=cause,
             )
         )
-    if column == 0:  # of the corridor nothing is said but the figures themselves
+    if column == 0:  # the corridor has no bounds
         for matcher in ("icp_scan_to_scan", "monte_carlo"):
             ratios = [
                 rms_m(other) / rms_m(ours)
@@ -209,7 +209,7 @@ def accuracy(title: str, ids: str, text: str, runs: Runs, column: int, bound_m: 
 
 
 def pictures(seeds: Sequence[int]) -> Section:
-    """C34: what each made of the room at epoch 50, and the errors."""
+    """C34: the room in each map at epoch 50, and the errors."""
     rides, runs = in_room(seeds)
     what = rides[0]
     figure, axes = plt.subplots(2, 2, figsize=(7.2, 4.6), dpi=80)
@@ -263,7 +263,7 @@ def over_time(seeds: Sequence[int]) -> Section:
 
 
 def cost(seeds: Sequence[int]) -> Section:
-    """C28 C29: table 2. Thread time, of each scan the least of three runs: a busy machine counts little."""
+    """C28 C29: table 2. Thread time, of each scan the least of three runs, against other load."""
     corridor, runs = in_corridor(seeds)
     rows = []
     for matcher, name in MATCHERS.items():
@@ -288,7 +288,7 @@ def cost(seeds: Sequence[int]) -> Section:
 
 
 def as_printed(seeds: Sequence[int]) -> Section:
-    """What the choices of our own are worth."""
+    """Errors without the choices that the paper leaves open."""
     room = in_room(seeds)[0]
     printed = {"ring_cells": 1, "join_steps": 0.0, "smooth_m": 0.0, "insert_distance_m": 0.0}
     variants = {

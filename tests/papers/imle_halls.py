@@ -29,7 +29,7 @@ MAPPED_EVERY_M = 10.0
 
 
 def known_scan(world: World, x_m: float, y_m: float) -> Points:
-    """What is seen all round from a place, without noise."""
+    """The noise-free scan of 360 deg at a place."""
     angle = np.radians(np.arange(-180.0, 180.0, 0.5))
     rays = np.stack([np.full(720, x_m), np.full(720, y_m), angle, np.zeros(720)], axis=1)
     range_m, _ = world.cast(np.ascontiguousarray(rays), world.discs(0.0, 1.0), 20.0)

@@ -1,4 +1,4 @@
-"""What a surveyor finds in the library of the simulator: lines of its drawing, and corners."""
+"""Survey of the library of the simulator: lines of its plan, and corners."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from simulators.worlds.library import (
 
 
 def library_structure() -> Floats:
-    """(S, 4) what an architect would draw, from the start with heading 0: cases, no books."""
+    """(S, 4) lines of the plan, in the frame of the start with heading 0: cases, no books."""
     plan = Plan()
     draw_structure(plan)
     for x in CASE_X_M:
@@ -31,7 +31,7 @@ def library_structure() -> Floats:
 
 
 def library_check_points() -> Floats:
-    """(18, 2) corners that a surveyor can find, from the start with heading 0.
+    """(18, 2) surveyed corners, in the frame of the start with heading 0.
 
     4 of the hall, 4 of the offices, 8 of bookcases' ends, 2 where the cabinet ends.
     """

@@ -42,7 +42,7 @@ FAR_M = 0.05
 # are, and between.
 PLAIN_CELLS = (OrthogonalMapConfig().segment_sigma_cells, 1.5, OrthogonalMapConfig().other_sigma_cells)
 ARM_M = (0.10, 0.60)  # part of a wall beside a corner that its place is read from
-BESIDE_M = 0.5  # a wall of a corner is looked for so far to each side: what else stands there may be taken
+BESIDE_M = 0.5  # a wall of a corner is looked for so far to each side: other objects there may be taken
 PEAK_M = 0.05  # of the strongest wall in it; its place is the mean of what lies so near
 LAP_S = library().drive.duration_s + 0.5  # half a second to stand; then one lap
 SHOWN_M = (3.0, 13.5, -3.0, 8.0)  # part of the library in the pictures: x0, x1, y0, y1
@@ -186,7 +186,7 @@ def _check_points(seeds: Sequence[int]) -> Section:
 
 
 def _limits(seeds: Sequence[int]) -> Section:
-    """B21: what the limits of segments do to the map, at true poses; B23."""
+    """B21: effect of the limits of segments on the map, at true poses; B23."""
     ride = _rides(seeds)[0]
 
     def share(**local_map: Any) -> float:
@@ -245,8 +245,8 @@ def _begun_at_an_angle(seeds: Sequence[int]) -> Section:
     )
 
 
-def _one_witness(seeds: Sequence[int]) -> Section:
-    """Where only wheels, only an IMU, or nothing measures the motion, and walls say nothing of the way."""
+def _one_motion_source(seeds: Sequence[int]) -> Section:
+    """Only wheels, only an IMU, or nothing measures the motion; walls do not constrain the position along."""
     rows = []
     for name, sources in {
         "wheels alone": {"wheels": Wheels(scale=1.01)},
@@ -269,9 +269,9 @@ def _one_witness(seeds: Sequence[int]) -> Section:
             ),
         ]
     return Section(
-        "One witness of the motion",
-        f"{BARE_S:.0f} s down a corridor of 100 m with sunk doors, UTM-30LX at 40 Hz; wheels 1 % off. What "
-        "walls do not fix is what wheels or IMU say; dots hold the pose only while these do not contradict.",
+        "One source of motion",
+        f"{BARE_S:.0f} s down a corridor of 100 m with sunk doors, UTM-30LX at 40 Hz; wheels 1 % off. "
+        "The pose along is that of wheels or IMU; dots constrain it only where they agree with these.",
         rows,
     )
 
@@ -283,7 +283,7 @@ def _ok_and_off(ran: Run) -> float:
 
 
 def _shares(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
-    """What MIN_SHARE and NEAR_AXIS_RAD of across_walls.py do."""
+    """Effect of MIN_SHARE and NEAR_AXIS_RAD of across_walls.py."""
     lines = ["| setting | ATE of fgi_s1 | ATE of corridor100d_s1 |", "|---|---|---|"]
     for name, constant, value in (
         ("as it is: 0.2, 15°", "MIN_SHARE", across_walls.MIN_SHARE),
@@ -298,9 +298,9 @@ def _shares(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothin
         errors = " | ".join("" if one is None else f"{one.error_m:.3f} m" for one in found)
         lines.append(f"| {name} | {errors} |")
     return Section(
-        "What walls say of a direction",
-        "Wheels and IMU, in two corridors of another simulator. Least share: what points in no segment say "
-        "of their weaker direction counts from this share of the stronger on. Near an axis: normals so near "
+        "Information of walls by direction",
+        "Wheels and IMU, in two corridors of another simulator. Least share: points in no segment "
+        "constrain their weaker direction from this share of the stronger on. Near an axis: normals so near "
         "to an axis of the map lie along it.",
         tables=["\n".join(lines)],
         ran_on="recordings",
@@ -308,7 +308,7 @@ def _shares(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothin
 
 
 def _corridors(seeds: Sequence[int]) -> Section:  # recordings: seeds change nothing
-    """Where walls say nothing of the way along."""
+    """Where walls do not constrain the position along."""
     rows = []
     for name in ("fgi_s1", "corridor100d_s1", "office300_s1"):
         rows += error_row("B29", "ATE of the recording ", "owolm_eskf", name, at_most=0.15)
@@ -396,6 +396,6 @@ SCENARIOS = {
     "limits": _limits,
     "angles": _begun_at_an_angle,
     "corridors": _corridors,
-    "one_witness": _one_witness,
+    "one_motion_source": _one_motion_source,
     "shares": _shares,
 }

@@ -8,7 +8,7 @@ from service.kernels.blurred_segments import NO_SEGMENT
 from tests.papers.pictures import draw_likelihood, save
 
 Array = npt.NDArray[np.float64]
-LIKELY = 0.5  # cells from here on are drawn over the building
+LIKELY = 0.5  # cells from here on are shown over the building
 
 
 def draw_segments(xy_m: Array, segment: npt.NDArray[np.int32]) -> tuple[str, str]:

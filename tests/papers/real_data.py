@@ -50,16 +50,16 @@ TURNS = (
     "(section Where intel bends)"
 )
 STEPS = (
-    "on new ground a scan lies on the last ones alone, with 0.2 deg RMS; it is drawn there and stays, and "
-    "over the first round of 787 scans the headings add up to 16 deg, which nothing of the paper takes out "
-    "again (section Where intel bends)"
+    "on new ground a scan lies on the last ones alone, with 0.2 deg RMS; it is inserted there and stays, and "
+    "over the first round of 787 scans the headings add up to 16 deg, which nothing of the paper "
+    "corrects (section Where intel bends)"
 )
 NO_LOOP = (
-    "the profile closes no loop, so that the heading which one scan has wrong stays in the map: small "
+    "the profile closes no loop, so that a heading error of one scan stays in the map: small "
     "changes of the motion filter give 0.035 to 0.068 m"
 )
 PARTICLES = (
-    "few scans, one in one to two seconds: which particles are drawn decides by centimetres (row with other "
+    "few scans, one in one to two seconds: the particles sampled change it by centimetres (row with other "
     "seeds)"
 )
 CAUSES = {  # why a profile is worse than is asked for on a recording
@@ -70,14 +70,14 @@ CAUSES = {  # why a profile is worse than is asked for on a recording
     ("owolm_eskf", "aces"): STEP_OFF,
     ("submap_graph", "aces"): PARTICLES,
 }
-DRAWN = ("aces", "csail")  # few scans: replayed with the random numbers of other seeds as well
+FEW_SCANS = ("aces", "csail")  # replayed with the random numbers of other seeds as well
 JUMP_DEG = 3.0
 Poses = Mapping[int, SE2]  # by stamp in ns
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one profile made of one recording."""
+    """Result of one profile on one recording."""
 
     summary: dict[str, Any]
     relations: RelationsScore | None  # None where the recording has none
@@ -93,7 +93,7 @@ class Outcome:
 
 
 def buildings(seeds: Sequence[int]) -> Section:
-    """The recordings are what they are, so seeds change nothing; without them it says so."""
+    """Seeds change nothing; without the recordings the section states that."""
     recordings = {name: SHARED / "datasets" / name / f"{name}.mcap" for name in SETS}
     missing = [str(path) for path in recordings.values() if not path.is_file()]
     if missing:
@@ -190,10 +190,10 @@ def relations(name: str, seeds: Sequence[int]) -> Section:
         assert found is not None
         cause = CAUSES.get((profile, name), "")
         rows.append(Row(profile, [found.error_m], "m", name, at_most=bound_m, cause=cause))
-        if profile == "submap_graph" and name in DRAWN:
-            drawn = [scored(profile, name, {"matcher": {"seed": seed}}) for seed in seeds]
-            errors_m = [one.error_m for one in drawn if one is not None]
-            rows.append(Row(f"{profile}: drawn with {seeds_text(seeds)}", errors_m, "m", name))
+        if profile == "submap_graph" and name in FEW_SCANS:
+            by_seed = [scored(profile, name, {"matcher": {"seed": seed}}) for seed in seeds]
+            errors_m = [one.error_m for one in by_seed if one is not None]
+            rows.append(Row(f"{profile}: sampled with {seeds_text(seeds)}", errors_m, "m", name))
         if found.lost_share:
             rows.append(Row(f"{profile}: scans lost", [100.0 * found.lost_share], "%", name))
     return Section(
@@ -268,15 +268,15 @@ def bends(path: Poses, reference: Poses, until_s: float) -> tuple[Bend, Bend]:
 
 
 def path_of(profile: str, recording: Path) -> Poses:
-    """As a profile has it in the end."""
+    """Final poses of a profile."""
     done = replay([recording], ReplayOptions(profile=profile))
     return dict(zip((output.stamp_ns for output in done.outputs), done.poses_map_base, strict=True))
 
 
 def path_of_wheels(recording: Path, stamps_ns: list[int]) -> Poses:
     frames = open_session([recording]).frames()
-    said = {f.stamp_ns: (f.x_m, f.y_m, f.theta_rad) for f in frames if isinstance(f, OdometrySample)}
-    path = Trajectory(np.array(list(said)), np.array(list(said.values())))
+    poses = {f.stamp_ns: (f.x_m, f.y_m, f.theta_rad) for f in frames if isinstance(f, OdometrySample)}
+    path = Trajectory(np.array(list(poses)), np.array(list(poses.values())))
     return {at: SE2(*pose) for at, pose in zip(stamps_ns, path.at(np.array(stamps_ns)).tolist(), strict=True)}
 
 

@@ -1,4 +1,4 @@
-"""What a profile makes of recordings: of another simulator, with exact truth, and of real buildings."""
+"""Errors of a profile on recordings: of another simulator, with exact truth, and of real buildings."""
 
 import json
 import tempfile
@@ -39,7 +39,7 @@ def _scored(profile: str, name: str, settings: str) -> Score | None:
 
 
 def rescored(profile: str, name: str, settings: str = "{}") -> Score | None:
-    """Replayed, whatever was scored before; settings as JSON."""
+    """Replayed again; settings as JSON."""
     recording = recording_of(name)
     if not recording.is_file():
         return None

@@ -1,4 +1,4 @@
-"""What an experiment shows, and how it is written down."""
+"""Rows and sections of an experiment, and their page."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,7 @@ class Row:
 
     what: str
     values: Sequence[float]  # one a seed
-    unit: str  # of a count what is counted, of a ratio "times", of a share "of 1"
+    unit: str  # of a count the things counted, of a ratio "times", of a share "of 1"
     case: str = ""  # the world, or what of the checklist, "A47 A5"
     at_most: float | None = None
     at_least: float | None = None

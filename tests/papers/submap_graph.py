@@ -29,14 +29,14 @@ from tests.papers.report import Row, Section, seeds_text
 from tests.simulated import FORWARD, LMS100_50HZ, Drive, Laser, Wheels, begun_beside, drive, phase_m
 
 CHECK_POINTS = 20
-BESIDE_M = 0.15  # end points that tell where a check point went
+BESIDE_M = 0.15  # end points that give the position of a check point in the map
 SEEN = 4  # scans that see a place, at least
 NEAR_M = 8.0  # returns from farther away are left out of it
 EVERY = 5  # scans: so many as one are asked where walls are
 CART = Laser(LMS100_50HZ.model, 541, 5.0, -135.0, 0.5)  # every tenth sweep
 SINGLE = {"local_map": {"length_m": 1e6}}
 SHORT = "on a lap of 115 m one map drifts by centimetres only before it meets its first walls again"
-KEEPS = "the scans of every pass are kept, packed, for landmarks and to draw the map anew"
+KEEPS = "the scans of every pass are kept, packed, for landmarks and to draw the map again"
 AROUND = {"matcher": {"draw": "around_scan"}}
 
 
@@ -106,13 +106,13 @@ def weights(seeds: Sequence[int]) -> Section:
     rows, rides = [], seeds[:3]
     for place in (OFFICE, FLOOR):
         aligned = [in_one_map(place, seed) for seed in rides], [in_submaps(place, seed) for seed in rides]
-        drawn = (
+        around = (
             [run(driven(place, seed), SINGLE | AROUND, graph=False) for seed in rides],
             [run(driven(place, seed), AROUND) for seed in rides],
         )
         for name, (single, whole) in (
             ("aligned, weighted by the scan", aligned),
-            ("around the scan, p / q", drawn),
+            ("around the scan, p / q", around),
         ):
             rows += [
                 Row(f"{place.name}, {name}: one map, worst check point", worst(single), "m", "D2"),
@@ -174,12 +174,12 @@ def against_single(seeds: Sequence[int]) -> Section:
 
 
 def memory(seeds: Sequence[int]) -> Section:
-    """D8: lap after lap round the office, in which nothing new is seen."""
+    """D8: lap after lap round the office, without new walls."""
     ride = driven(LAPS, seeds[0])
-    held: list[LandmarkBackEnd] = []
+    back_ends: list[LandmarkBackEnd] = []
 
     def new_worker(back_end: LandmarkBackEnd) -> InlineWorker:
-        held.append(back_end)
+        back_ends.append(back_end)
         return InlineWorker(back_end)
 
     config = mapping_config({"profile": "submap_graph"})
@@ -193,21 +193,20 @@ def memory(seeds: Sequence[int]) -> Section:
         tiles[lap] = max(tiles[lap], mapper.components.local_map.tile_count)
         while mapper.graph.waiting:
             mapper.apply_result()
-            kept, walls = (len(pickle.dumps(one)) for one in (held[0], held[0].walls))
+            kept, walls = (len(pickle.dumps(one)) for one in (back_ends[0], back_ends[0].walls))
             kept_mb[lap], walls_mb, path_length_m[lap] = (
                 (kept - walls) / 1e6,
                 walls / 1e6,
-                held[0].path_length_m[-1],
+                back_ends[0].path_length_m[-1],
             )
     grown_mb, driven_m = kept_mb[-1] - kept_mb[1], path_length_m[-1] - path_length_m[1]
     ratio = tiles[-1] / tiles[1]
     return Section(
         "Memory, lap after lap",
-        f"{LAP_COUNT} laps of the office, in which nothing new is seen after the first. Tiles are the "
+        f"{LAP_COUNT} laps of the office, without new walls after the first. Tiles are the "
         "maximum in a lap, of all particles together. The memory of the graph is its size when it is sent "
-        "to another "
-        "process: the scans of all closed sub-maps, to compare them and to draw the shown map anew, "
-        "in steps of 1 mm and 0.1 mrad; and beside it, once, the walls of the 8 sub-maps that were compared "
+        "to another process: the scans of all closed sub-maps, to compare them and to draw the shown map "
+        "again, in steps of 1 mm and 0.1 mrad; and beside it, once, the walls of the 8 sub-maps compared "
         "last.",
         [
             Row("tiles of the particles: last lap by second", [ratio], "times", "D8", at_most=1.1),
@@ -240,9 +239,9 @@ def hours(seeds: Sequence[int]) -> Section:
 
 
 def hours_reported(found: Mapping[str, Any], seed: int) -> Section:
-    """found: what the process has said of each ten minutes, and of the graph at the end."""
+    """found: output of the process, for each ten minutes and for the graph at the end"""
     first, last = found["hours"][0], found["hours"][-1]
-    lines = ["| minutes | way | sub-maps | resident memory | pose off by |", "|---|---|---|---|---|"]
+    lines = ["| minutes | path length | sub-maps | resident memory | pose off by |", "|---|---|---|---|---|"]
     lines += [
         f"| {one['minutes']:.0f} | {one['path_m']:.0f} m | {one['submaps']} | {one['resident_mb']:.0f} MB "
         f"| {100.0 * one['off_m']:.1f} cm |"

@@ -24,7 +24,7 @@ CART = Laser(LMS100_50HZ.model, 541, 5.0, -135.0, 0.5)
 
 
 def frames(ride: Ride, wheels: list[OdometrySample], seconds: float, seed: int) -> Iterator[Frame]:
-    """In order of arrival; scans are made when it is their turn, so that none is held here."""
+    """In order of arrival; each scan is made when it is due, so that none stays in memory."""
     source = LaserTruth(ride, CART.name, CART.mounting, CART.model, seed)
     stamps_ns = range(0, round(seconds * 1e9), CART.period_ns)
     scans: Iterator[LaserScan] = (
@@ -38,10 +38,10 @@ def main(seed: int, seconds: float) -> None:
     wheels = odometry(ride, Wheels(scale=1.01, turn_scale=1.01), seconds, seed)
     config = mapping_config({"profile": "submap_graph"})
     warm_up()
-    held: list[LandmarkBackEnd] = []
+    back_ends: list[LandmarkBackEnd] = []
 
     def new_worker(back_end: LandmarkBackEnd) -> InlineWorker:
-        held.append(back_end)
+        back_ends.append(back_end)
         return InlineWorker(back_end)
 
     mapper = build_mapper(config, {"front": FORWARD}, new_worker=new_worker)  # type: ignore[arg-type]
@@ -61,15 +61,15 @@ def main(seed: int, seconds: float) -> None:
         facts.append(
             {
                 "minutes": output.stamp_ns * 1e-9 / 60.0,
-                "path_m": held[0].path_length_m[-1],
-                "submaps": len(held[0].submaps),
+                "path_m": back_ends[0].path_length_m[-1],
+                "submaps": len(back_ends[0].submaps),
                 "resident_mb": resident_mb() - before_mb,
                 "off_m": math.hypot(off.x_m, off.y_m),
                 "cpu_s": time.thread_time() - began_s,
             }
         )
         print(json.dumps(facts[-1]), file=sys.stderr, flush=True)
-    print(json.dumps({"hours": facts, "graph_mb": len(pickle.dumps(held[0])) / 1e6}))
+    print(json.dumps({"hours": facts, "graph_mb": len(pickle.dumps(back_ends[0])) / 1e6}))
 
 
 if __name__ == "__main__":

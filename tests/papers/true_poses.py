@@ -1,4 +1,4 @@
-"""Scans at their true poses: what a map makes of them is its own doing and not that of a matcher."""
+"""Scans at their true poses: errors of a map of them are not those of a matcher."""
 
 import itertools
 from collections.abc import Iterator
