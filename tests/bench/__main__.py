@@ -13,7 +13,7 @@ from typing import Any
 from service.compile.cache import ensure_cache_dir
 from service.version import VERSION
 
-Row = tuple[str, float, str]  # what was measured, how much, of what unit
+Row = tuple[str, float, str]  # quantity, value, unit
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""64 short sessions on each engine: the same bytes, how much faster, and through deaths."""
+"""64 short sessions on each engine: same bytes, speed-up, killed workers."""
 
 import hashlib
 import logging
@@ -85,7 +85,7 @@ def measure() -> list[Row]:
             jobs_s = run("jobs", processes)
         with Cluster("local:2") as cluster:
             dask_s = run("dask", cluster)
-            empty_s = run("dask", cluster)  # all is done: what is left is the task itself
+            empty_s = run("dask", cluster)  # all is done: the rest is the cost of the task itself
         bucket = stack.enter_context(_bucket())
         for session in sessions:
             (bucket / "in" / session.name).write_bytes(session.read_bytes())
@@ -131,7 +131,7 @@ def _once(act: Callable[[], object]) -> Disturb:
 
 @contextmanager
 def _bucket() -> Iterator[Path]:
-    """Of an S3 server that runs here. What is started meanwhile knows it."""
+    """Of a local S3 server; processes started meanwhile use it."""
     logging.getLogger("werkzeug").setLevel(logging.WARNING)  # else a line for each request
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()

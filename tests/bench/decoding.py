@@ -1,4 +1,4 @@
-"""What it costs each driver to turn the bytes of one scan, or of one sample, into a frame."""
+"""Time of each driver to decode the bytes of one scan, or of one sample, into a frame."""
 
 import time
 from typing import Any

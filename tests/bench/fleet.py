@@ -1,5 +1,5 @@
-"""Many vehicles at one router over TLS on loopback: bytes of each link, work of the router, who comes late, a
-router that is away, a stranger. 20 vehicles map recordings at real time; 100 stand and send.
+"""Many vehicles at one router over TLS on loopback: bytes of each link, work of the router, a late
+subscriber, a restarted router, a client of another CA. 20 vehicles map recordings at real time; 100 stand.
 """
 
 import json
@@ -58,7 +58,7 @@ def _record(world: str, folder: Path) -> Path:
 
 
 def _measure(count: int, folder: Path, recordings: Sequence[Path]) -> list[Row]:
-    """recordings   that the vehicles map, at real time; none: they stand, and no router goes away"""
+    """recordings   that the vehicles map, at real time; none: they stand, and no router is ended"""
     names = [name_of(number) for number in range(count)]
     holders = [Holder(name, "vehicle") for name in names]
     init_site(folder, [*holders, Holder("router", "operator", HOSTS), Holder("anna", "operator")], days=2)
@@ -79,7 +79,7 @@ def _measure(count: int, folder: Path, recordings: Sequence[Path]) -> list[Row]:
             rows.append(("until all are there", time.monotonic() - began_s, "s"))
             rows += _steady(session, router, count)
             rows.append(("late joiner has all tiles after", _late(site, count), "s"))
-            rows.append(("stranger is refused", float(_is_refused(endpoint, folder)), ""))
+            rows.append(("client of another CA is refused", float(_is_refused(endpoint, folder)), ""))
         if recordings:
             rows += _away(router_file, site, count)
     return [(f"{count} vehicles: {name}", value, unit) for name, value, unit in rows]
@@ -141,8 +141,8 @@ def _late(site: PublishingConfig, count: int) -> float:
 
 
 def _is_refused(endpoint: str, folder: Path) -> bool:
-    strange = {"tls": {**tls_of(folder / "other", "anna"), "ca": str(folder / "ca.pem")}}
-    config = PublishingConfig.model_validate({"connect": [endpoint], "security": strange})
+    foreign = {"tls": {**tls_of(folder / "other", "anna"), "ca": str(folder / "ca.pem")}}
+    config = PublishingConfig.model_validate({"connect": [endpoint], "security": foreign})
     try:
         with connected(config):
             return False
@@ -151,7 +151,7 @@ def _is_refused(endpoint: str, folder: Path) -> bool:
 
 
 def _away(router_file: Path, site: PublishingConfig, count: int) -> list[Row]:
-    """The router is gone for a minute: when all vehicles are back, and how much they send then."""
+    """The router is down for a minute: when all vehicles are back, and how much they send then."""
     time.sleep(AWAY_S)
     began_s = time.monotonic()
     with _router(router_file):
@@ -171,7 +171,7 @@ def _away(router_file: Path, site: PublishingConfig, count: int) -> list[Row]:
 
 
 def _wait(site: PublishingConfig, count: int) -> None:
-    """Until so many vehicles are well, by a client of its own: what it subscribes to ends with it."""
+    """Until so many vehicles are ok, by a client of its own: its subscriptions end with it."""
     well: set[str] = set()
     with connected(site) as session:
         watch = Watch(session)
@@ -186,12 +186,12 @@ def _wait(site: PublishingConfig, count: int) -> None:
 
 
 def _sent(session: zenoh.Session) -> dict[str, float]:
-    """Bytes that each vehicle's kernel has sent to the router, as its health says."""
+    """Bytes that each vehicle's kernel has sent to the router, from its health."""
     return _values(session, "fleet", "bytes_sent")
 
 
 def _values(session: zenoh.Session, row: str, key: str) -> dict[str, float]:
-    """A value in the last health of each vehicle; 0 where it is not there yet."""
+    """A value in the last health of each vehicle; 0 where it is absent."""
     found = {}
     for name, sample in last_of(session, "health").items():
         rows = {row.name: row.values for row in decode_diagnostics(sample.payload.to_bytes())}

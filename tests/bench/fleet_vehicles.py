@@ -64,7 +64,7 @@ class Vehicle:
 
 
 class Mapping1x:
-    """A Watch that sends what is mapped, at the pace of the recording."""
+    """A Watch that sends poses and tiles at the rate of the recording."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle

@@ -17,7 +17,7 @@ DRIVE_M = 500.0
 LANES_X = (*AISLES_X, 143.0, 170.0, 195.0)  # 200 m by 100 m
 LIMITS = Limits(speed_mps=2.0, lateral_mps2=0.8)
 LASER = replace(LMS100_50HZ, beams=271, rate_hz=25.0, step_deg=1.0, every=8)  # 3.1 scans a second
-WAYS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+DIRECTIONS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 def record_drive(seed: int, folder: Path) -> tuple[Path, Path, float]:
@@ -39,23 +39,23 @@ def random_drive(seed: int) -> Trajectory:
     noise = noise_of(seed, "route", 0)
     column, row = int(noise.integers(len(LANES_X))), int(noise.integers(len(AISLES_Y)))
     points: list[Point] = [(LANES_X[column], AISLES_Y[row])]
-    way, length_m = None, 0.0
+    direction, length_m = None, 0.0
     while length_m < DRIVE_M:
-        ways = [
+        possible = [
             (i, j)
-            for i, j in WAYS
+            for i, j in DIRECTIONS
             if 0 <= column + i < len(LANES_X)
             and 0 <= row + j < len(AISLES_Y)
-            and (way is None or (-i, -j) != way)
+            and (direction is None or (-i, -j) != direction)
         ]
-        i, j = ways[int(noise.integers(len(ways)))]
+        i, j = possible[int(noise.integers(len(possible)))]
         column, row = column + i, row + j
         point = LANES_X[column], AISLES_Y[row]
         length_m += abs(point[0] - points[-1][0]) + abs(point[1] - points[-1][1])
-        if way == (i, j):
+        if direction == (i, j):
             points.pop()
         points.append(point)
-        way = i, j
+        direction = i, j
     (x_m, y_m), (next_x_m, next_y_m) = points[:2]
     start = SE2(x_m, y_m, float(np.arctan2(next_y_m - y_m, next_x_m - x_m)))
     return plan_drive(start, [Follow(points[1:], corner_radius_m=1.5)], LIMITS)

@@ -1,6 +1,6 @@
 """The live service under load: five fake devices, three lasers mapped, recording on, in `corridor demo`.
 
-How fast this machine is just now stands beside: what a fixed loop of Python and a fixed kernel take.
+Rows beside give the machine's speed: times of a fixed loop of Python and of a fixed kernel.
 """
 
 import select
@@ -45,7 +45,7 @@ def measure() -> list[Row]:
 
 
 def speed() -> list[Row]:
-    """How long fixed work takes, ms: of the interpreter, and of compiled code."""
+    """Duration of fixed work, ms: of the interpreter, and of compiled code."""
     xy, out = np.ones((1081, 2)), np.empty((1081, 2))
     times, twist = np.linspace(0.0, 0.02, 1081), np.array([1.0, 0.1, 0.2])
     deskew_points(xy, times, twist, out)
@@ -66,7 +66,7 @@ def speed() -> list[Row]:
 
 @contextmanager
 def spinning(programs: int) -> Iterator[None]:
-    """So many programs beside, each of which wants a core for itself."""
+    """So many programs beside, each of which takes a core."""
     spinners = [subprocess.Popen([sys.executable, "-c", SPIN]) for _ in range(programs)]
     try:
         yield
@@ -78,8 +78,8 @@ def spinning(programs: int) -> Iterator[None]:
 
 @contextmanager
 def silent_browsers(count: int) -> Iterator[None]:
-    """So many browsers that open the demo's page as soon as it is there and read nothing. Whoever is let go
-    opens it again. Raises AssertionError where none was let in.
+    """So many browsers that open the demo's page as soon as it is served and read nothing. One that is
+    disconnected opens it again. Raises AssertionError where none was accepted.
     """
     ended = threading.Event()
     let_in = [0] * count
@@ -95,7 +95,7 @@ def silent_browsers(count: int) -> Iterator[None]:
                     gone.register(silent, select.POLLRDHUP)
                     while not ended.is_set() and not gone.poll(200):
                         pass
-            except OSError:  # the page is not there yet, or not any more
+            except OSError:  # the page is not served yet, or not any more
                 ended.wait(0.2)
 
     threads = [threading.Thread(target=open_again, args=(k,), name=f"silent-{k}") for k in range(count)]

@@ -1,4 +1,4 @@
-"""How much of a core the drivers take while all five kinds of device stream to them."""
+"""Share of a core that the drivers take while all five kinds of device stream to them."""
 
 import tempfile
 import threading
@@ -16,7 +16,7 @@ LOOK_S = 0.1
 
 
 def measure() -> list[tuple[str, float, str]]:
-    """Only what the reader threads use, by their own clocks; mapper, recorder and publisher do not run."""
+    """Only the reader threads, by their own clocks; mapper, recorder and publisher do not run."""
     stop = threading.Event()
     with tempfile.TemporaryDirectory() as folder:
         options = DemoOptions(None, None, None, 1, Path(folder))

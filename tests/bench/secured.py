@@ -1,8 +1,8 @@
-"""What TLS, certificates and rules of access add to scan to pose, end to end: from the last byte of a scan to
+"""Latency that TLS, certificates and rules of access add, end to end: from the last byte of a scan to
 its pose in a subscriber of another process.
 
 In one drive of `corridor demo` a plain and a secured endpoint send each pose, in turn first; only those that
-it sends first count for either. So the two differ by what is measured, whatever else the machine does.
+it sends first count for either. So other load of the machine does not bias the difference.
 `python -m tests.bench.secured ENDPOINT [SITE]` is a subscriber; with the folder of a site it is its viewer.
 """
 
@@ -39,7 +39,7 @@ from service.sinks.zenoh_sink import ZenohSink
 from tests.system.machine import free_port
 
 SECONDS = 250.0
-SETTLE_S = 10.0  # subscribers come, clocks are learnt
+SETTLE_S = 10.0  # subscribers connect, clocks are learnt
 PAIRS = 8  # into which the rest is divided
 HOSTS = ("127.0.0.1", "localhost")
 Row = tuple[str, float, str]

@@ -1,4 +1,4 @@
-"""A site of 12 drives, two of another building: do they lie in one frame, and what does one more cost. Real
+"""A site of 12 drives, two of another building: errors in one frame, and cost of one more. Real
 drives in parts, and sites of more and more sessions.
 """
 

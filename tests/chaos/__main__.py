@@ -1,7 +1,7 @@
 """The fault campaign: `python -m tests.chaos [--only ROW]`.
 
 A drive of five fake devices and the service in real time for each row, judged against the truth: map, state,
-recovery, what was lost.
+recovery, losses.
 Results are kept in build/chaos.json; build/chaos.md is their table, those of earlier calls too. Exits 1 where
 a row is not as expected.
 """
@@ -61,7 +61,7 @@ def _keep(name: str, result: dict[str, object]) -> None:
 
 
 def _measured(result: dict[str, object]) -> str:
-    """In words, what is not as expected first."""
+    """As text, figures beyond their bounds first."""
     if "skipped" in result:
         return f"not run: {result['skipped']}"
     words = [f"**{missed}**" for missed in result.get("missed", [])]

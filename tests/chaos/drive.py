@@ -1,4 +1,4 @@
-"""Five fake devices and `corridor run`, each in processes of its own, for a fault to happen to."""
+"""Five fake devices and `corridor run`, each in processes of its own, with a fault."""
 
 import os
 import signal
@@ -42,11 +42,11 @@ class Up(NamedTuple):
 class Drive:
     """A run of the service, or several, while the vehicle drives.
 
-    cause        when the fault was there; it is over at the end of it
+    cause        interval of the fault
     endpoints    of the devices, by name: host:port or a path
-    settings     of who made the place ready; "environment" is that of the service, besides the usual one
-    notes        what else was measured, for the table
-    left_out     messages that the fake devices had no processor to send; known at the end
+    settings     of `Live.place`; "environment" is that of the service, besides the usual one
+    notes        further figures, for the table
+    left_out     messages that the fake devices left out for want of processor time; known at the end
     """
 
     def __init__(
@@ -85,12 +85,12 @@ class Drive:
         self.service.config.write_text(yaml.safe_dump(config))
 
     def run_until(self, at_s: float) -> None:
-        """So long after the ride began, or not at all where that is past."""
+        """Until at_s after the ride began; returns at once where that is past."""
         time.sleep(max(0.0, self.ride_ns / 1e9 + at_s - time.monotonic()))
 
     @contextmanager
     def caused(self) -> Iterator[None]:
-        """The fault is there inside the block."""
+        """The fault is active inside the block."""
         began_ns = time.monotonic_ns()
         try:
             yield
@@ -110,7 +110,7 @@ class Drive:
         return [self.service.pid, *(stat.pid for stat in self._of_the_mapper())]
 
     def _processes(self, role: str) -> list[int]:
-        """Back ends are nicer than mappers, and who works is older than its stand-by."""
+        """Back ends have a higher nice value than mappers; a mapper is older than its stand-by."""
         ours = self._of_the_mapper()
         lowest = min((stat.niceness for stat in ours), default=0)
         mappers = [stat.pid for stat in ours if stat.niceness == lowest]
@@ -135,7 +135,7 @@ def driving(folder: Path, faults: str, settings: dict[str, Any], seed: int) -> I
     truth = folder / "truth.txt"
     with simulators(options, truth) as fakes:
         sensors = yaml.safe_load(demo_config(fakes.endpoints, options, free_port()).text)["sensors"]
-        for name in ("rear", "lux"):  # harder with one laser, and a busy machine is in time
+        for name in ("rear", "lux"):  # harder with one laser, and a busy machine keeps up
             sensors[name]["map"] = False
         service = LiveService(folder, sensors, **settings.get("publishing", {}))
         wait_until(lambda: truth.read_text().count("\n") > 1, words="the simulators write no truth")

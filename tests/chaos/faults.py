@@ -1,4 +1,4 @@
-"""What can happen to a drive. Each function here makes the `act` of a row, or is its `place`.
+"""Faults of a drive. Each function here makes the `act` of a row, or is its `place`.
 
 Each sleep is as long as its fault lasts, or is the time from one kill to the next.
 """
@@ -40,7 +40,7 @@ with zenoh.open(config):
 
 
 class CannotBeHadError(Exception):
-    """This machine does not allow that fault; the words say what is missing."""
+    """This machine does not allow that fault; the message names what is missing."""
 
 
 def stopped(role: str, seconds: float) -> Act:
@@ -76,7 +76,7 @@ def service_killed(times: int, longest_s: float) -> Act:
 
 
 def other_program(seconds: float) -> Act:
-    """It opens the ports of the devices, too, and reads what comes."""
+    """It opens the ports of the devices, too, and reads."""
 
     def act(drive: Drive) -> None:
         with ExitStack() as stack:
@@ -161,7 +161,7 @@ def less_memory(share: float, seconds: float) -> Act:
             (group / "cgroup.procs").write_text(str(process))
         resident = 1e6 * sum(map(resident_mb, drive.processes()))
         limit = group / "memory.limit_in_bytes"
-        with suppress(OSError):  # busy: it could not take as much away at once
+        with suppress(OSError):  # busy: it could not free as much at once
             limit.write_text(str(round(share * resident)))
         time.sleep(seconds)
         limit.write_text("-1")
@@ -212,7 +212,7 @@ def _router(endpoint: str) -> subprocess.Popen[bytes]:
 
 
 def router_gone(seconds: float) -> Act:
-    """Behind it poses come again, too, once it is back."""
+    """Poses come again through it, too, once it is back."""
 
     def act(drive: Drive) -> None:
         endpoint, routers = drive.settings["endpoint"], drive.settings["routers"]

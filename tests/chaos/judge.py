@@ -1,4 +1,4 @@
-"""What became of the map, the state and the data of a run with a fault, against the truth."""
+"""Map, states and data of a run with a fault, against the truth."""
 
 import math
 import shutil
@@ -24,9 +24,9 @@ Times = npt.NDArray[np.int64]  # host monotonic, ns
 @dataclass(frozen=True)
 class Figures:
     """recovery_s   from the end of the cause until poses and frames of each device come again
-    last           which of them came last
+    last           the last of them
     frames_lost    measurements of devices that are not in the recording, by the gaps between their stamps
-    data_lost_s    the longest time within a run of the service of which the recording holds nothing
+    data_lost_s    the longest time within a run of the service without a message in the recording
     rmse_m, end_m  of the poses' positions, all, and those of the last second
     wrong_ok       poses more than WRONG_M off while the state in force was `ok`
     states         that were in force from the cause on
@@ -65,7 +65,7 @@ class Expected:
         return ", ".join([*words, f"exit code {' or '.join(map(str, self.codes))}"])
 
     def missed_by(self, figures: Figures) -> list[str]:
-        """What is not as expected, in words."""
+        """Figures beyond their bounds, as text."""
         missed = [
             f"{name} {value:g}, at most {getattr(self, name):g} expected"
             for name in ("recovery_s", "data_lost_s", "rmse_m", "end_m")
@@ -80,7 +80,7 @@ class Expected:
 
 @dataclass
 class Evidence:
-    """What the recordings of a drive hold, on the host's monotonic clock."""
+    """Content of a drive's recordings, on the host's monotonic clock."""
 
     stamps: dict[str, list[int]] = field(default_factory=lambda: {name: [] for name in DEVICES})
     arrivals: dict[str, list[int]] = field(default_factory=lambda: {name: [] for name in (*DEVICES, "pose")})
@@ -112,7 +112,7 @@ def _state(statuses: Sequence[Status]) -> str:
 
 
 def errors_m(evidence: Evidence, truth: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """(N,) how far each pose is off; the first of each map is where it says, by definition."""
+    """(N,) position error of each pose, m; 0 for the first of each map, by definition."""
     true = interpolate(truth, np.array([stamp_ns for _, stamp_ns, _ in evidence.poses]))
     origin: dict[int, SE2] = {}
     found = []
@@ -151,7 +151,7 @@ def _first_after(times_ns: Sequence[int], from_ns: int) -> float:
 
 
 def _missing(stamps_ns: Sequence[int], period_s: float) -> int:
-    """Measurements between these that are not there."""
+    """Measurements missing between these."""
     periods = np.diff(np.array(sorted(stamps_ns))) / (period_s * 1e9)
     return int(np.sum(np.round(periods[periods > 1.5]) - 1))
 
@@ -164,7 +164,7 @@ def longest_gap_ns(logged_ns: Sequence[int], up: Up) -> int:
 
 
 def judged(drive: Drive) -> Figures:
-    """Of what the drive left on the disk; recordings that were not ended are recovered first, in a copy."""
+    """Of the files of the drive; recordings that were not ended are recovered first, in a copy."""
     damaged, evidence, copy = [], Evidence(), drive.folder / "copy"
     shutil.copytree(drive.service.sessions, copy, ignore=lambda *_: {"lost+found"})
     for unfinished in copy.glob("*.mcap.active"):

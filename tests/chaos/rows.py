@@ -1,4 +1,4 @@
-"""The campaign: what happens to the drive, and what is expected of it.
+"""The campaign: the faults of a drive, and the bounds of its figures.
 
 Faults of devices and wires act in virtual time (`Wire`), where each scan has its state and nothing depends on
 the machine; all others act on processes, in real time (`Live`).
@@ -26,11 +26,11 @@ from tests.drivers.faulty_devices import BENCHES, ZERO_NS
 
 AT_S = 9.0  # after the ride began: the vehicle drives
 CALM_S = 6.0  # after it
-UNKNOWN = math.inf  # what is not judged
+UNKNOWN = math.inf  # not judged
 USUAL = Expected()
-OF_WIRES = Expected(data_lost_s=UNKNOWN)  # where nothing comes, nothing is recorded
+OF_WIRES = Expected(data_lost_s=UNKNOWN)  # without messages there is no recording
 BOOT_S, BETWEEN_S = 0.5, 0.3  # from the ride's begin to the first device, and to each further one
-DRAWN_S = 60.0
+RANDOM_S = 60.0
 Result = tuple[Figures, list[str]]  # with notes
 CALM_BEFORE_S = 6.0  # all devices stream by then
 BENCH_OF = {"front": "lms100 cola_a", "base": "create2"}  # of the demo, by their benches
@@ -49,7 +49,7 @@ SHARES = (("for_s", 0.2, 3.0), ("share", 0.05, 1.0))
 
 @dataclass(frozen=True)
 class Wire:
-    """A fault of devices or their wires, in words; `lines` of a file of faults, one for each run."""
+    """A fault of devices or their wires, as text; `lines` of a file of faults, one for each run."""
 
     fault: str
     lines: Sequence[str]
@@ -74,7 +74,7 @@ class Wire:
 
 @dataclass(frozen=True)
 class Live:
-    """A fault of processes, disks, clocks or the network, in words; `act` is there from its begin to its end.
+    """A fault of processes, disks, clocks or the network, as text; it lasts as long as `act`.
 
     place     what it needs around the run
     settings  of the config, by section
@@ -115,7 +115,7 @@ def wire(
 
 
 def boot_order(order: Sequence[str]) -> str:
-    """Devices come on the network one after the other."""
+    """Devices connect to the network one after the other."""
     return "".join(
         f"  - {{device: {device}, kind: cut, for_s: {BOOT_S + BETWEEN_S * place:.1f}}}\n"
         for place, device in enumerate(order)
@@ -146,14 +146,14 @@ def rows(seed: int, kills: int) -> dict[str, Wire | Live]:
         "drop": wire("30 % of messages lost", "drop", "for_s: 2, share: 0.3", 2.0),
         "duplicate": wire("each message twice", "duplicate", "for_s: 2", 2.0),
         "delay": wire("messages up to 100 ms late", "delay", "for_s: 2, up_to_ms: 100", 2.0),
-        "burst": wire("messages held and sent each 0.5 s", "burst", "for_s: 2, hold_ms: 500", 2.0),
+        "burst": wire("messages kept and sent each 0.5 s", "burst", "for_s: 2, hold_ms: 500", 2.0),
         "clock-ahead": wire("clocks of the devices step by 100 s", "clock_jump", "by_s: 100", 0.0, clocks),
         "clock-back": wire("clocks of the devices step by -100 s", "clock_jump", "by_s: -100", 0.0, clocks),
-        "drawn": Live(
+        "random": Live(
             "each kind of fault by chance on `front` and `base`, 60 s",
-            lambda drive: drive.run_until(DRAWN_S),
+            lambda drive: drive.run_until(RANDOM_S),
             Expected(recovery_s=UNKNOWN, rmse_m=UNKNOWN, end_m=UNKNOWN, codes=(0, 1)),
-            lines=drawn(seed, DRAWN_S),
+            lines=random_faults(seed, RANDOM_S),
         ),
         "ports": Live("another program opens the ports of all devices for 2 s", f.other_program(2.0)),
         "ntp-ahead": Live(
@@ -200,8 +200,8 @@ def rows(seed: int, kills: int) -> dict[str, Wire | Live]:
     }
 
 
-def drawn(seed: int, seconds: float) -> str:
-    """Each kind on two devices together, once, some time in the first half of the drive."""
+def random_faults(seed: int, seconds: float) -> str:
+    """Lines of each kind on two devices, once each, at a random time in the first half of the drive."""
     text = ""
     for number, (device, bench) in enumerate(BENCH_OF.items()):
         uniform: Callable[[float, float], float] = np.random.default_rng([seed, number]).uniform

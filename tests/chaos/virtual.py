@@ -1,6 +1,6 @@
 """The demo's devices with their drivers and the mapper in virtual time: no wire, no process, no clock.
 
-What a busy machine does to a run is not in it, so it is the same each time. Each scan has its state.
+The load of the machine does not change it, so each run is the same. Each scan has its state.
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class VirtualDrive:
 def drive(lines: str, seconds: float, seed: int) -> VirtualDrive:
     """lines: of a file of faults, whose times count from ZERO_NS, when the vehicle begins to stand."""
     ride = Ride(_office(), ZERO_NS, STAND_S)
-    frames = [frame for link in _links(lines, ride, seed) for frame in _heard(link, seconds)]
+    frames = [frame for link in _links(lines, ride, seed) for frame in _received(link, seconds)]
     found = Evidence()
     for frame in frames:
         channel = next(one for one in CHANNELS if one.startswith(f"{frame.sensor}/"))
@@ -81,7 +81,7 @@ def _links(lines: str, ride: Ride, seed: int) -> list[VirtualLink]:
     return links
 
 
-def _heard(link: VirtualLink, seconds: float) -> list[Frame]:
-    """Without fixes, which say nothing of the map."""
+def _received(link: VirtualLink, seconds: float) -> list[Frame]:
+    """Without fixes, which do not change the map."""
     link.run(seconds)
     return [frame for frame in link.passed_on if not isinstance(frame, GnssFix)]
