@@ -1,13 +1,12 @@
 """Third-party programs against ours: `python -m tests.interop [--only NAME] [--strict]`. Prints a table.
 
 The programs live in venvs under .venv-interop, made here by name from the package index, and run as
-processes of their own; they never see our code, and we never import theirs. What we lend them is a fake
-device on loopback or a pseudo terminal, a recording, or a trajectory, and the truth as JSON; they judge
-with their own reading.
+processes of their own; they never import our code, nor we theirs. They get a fake device on loopback or a
+pseudo terminal, a recording, or a trajectory, and the truth as JSON; they judge by their own reading.
 
-Everything is bounded: each process has a timeout and is ended by its id, each wire is closed by its context.
-Where a package cannot be had, its checks are skipped and the table says why; --strict makes that a failure.
-Exits 1 where a check failed.
+Each process has a timeout and is ended by its id, each wire is closed by its context. Where a package cannot
+be installed, its checks are skipped with the reason in the table; --strict makes that a failure. Exits with 1
+where a check failed.
 """
 
 import argparse
@@ -25,7 +24,7 @@ from tests.interop.programs import ROOT, InteropError, UnavailableError, Venv
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One program and what it is put to. `run` returns what was seen, in words, or raises InteropError."""
+    """One program and its check. `run` returns the result as text, or raises InteropError."""
 
     program: str
     against: str

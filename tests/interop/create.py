@@ -46,7 +46,7 @@ def run_pyroombaadapter(venv: Venv, folder: Path) -> str:
 
 
 def _run(venv: Venv, script: str, folder: Path, asked: Sequence[Opcode], mode: Mode) -> dict[str, Any]:
-    """The device must hear these commands, and be in that mode at the end."""
+    """The device must receive these commands, and be in that mode at the end."""
     wheels = EvenWheels(time.monotonic_ns())
     device = FakeCreate(wheels, "create2", start_counts=START_COUNTS)
     preset = PRESETS["create2"]

@@ -1,4 +1,4 @@
-"""Venvs for programs of other people, and how they are run: always another process, always bounded."""
+"""Venvs for third-party programs, each run in a process of its own with a timeout."""
 
 import json
 import os
@@ -19,11 +19,11 @@ TAIL_CHARS = 1500
 
 
 class UnavailableError(Exception):
-    """A package cannot be had here."""
+    """A package cannot be installed here."""
 
 
 class InteropError(Exception):
-    """A program did not see what it should, or did not end."""
+    """A program's result is wrong, or it did not end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +76,8 @@ def run(command: list[str], home: Path | None = None, timeout_s: float = CLIENT_
     except subprocess.TimeoutExpired as error:
         raise InteropError(f"{Path(command[0]).name} did not end within {timeout_s:g} s") from error
     if done.returncode != 0:
-        told = (done.stdout + done.stderr)[-TAIL_CHARS:]
-        raise InteropError(f"{Path(command[0]).name} ended with {done.returncode}:\n{told}")
+        output = (done.stdout + done.stderr)[-TAIL_CHARS:]
+        raise InteropError(f"{Path(command[0]).name} ended with {done.returncode}:\n{output}")
     return done.stdout
 
 
@@ -116,7 +116,7 @@ def _command(venv: Venv, script: str, facts: dict[str, Any], folder: Path) -> li
 
 
 def environment(home: Path | None = None) -> dict[str, str]:
-    """Of a program: ours without what would lead a program to our packages; some write settings into HOME."""
+    """Ours without variables that lead to our packages; some programs write settings into HOME."""
     environment = {
         key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "VIRTUAL_ENV"))
     }

@@ -70,7 +70,7 @@ def _machine(folder: Path) -> Iterator[LiveService]:
 def _run_client(
     venv: Venv, facts: dict[str, Any], folder: Path, restart: Callable[[], None]
 ) -> dict[str, Any]:
-    """What the client saw; it goes on through one restart. Raises InteropError."""
+    """Values seen by the client, which goes on through one restart. Raises InteropError."""
     facts = {"domain": DOMAIN, "topics": TOPICS, "services": SERVICES, **facts}
     lines: list[str] = []
     again_s = 0.0

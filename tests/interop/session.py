@@ -20,20 +20,20 @@ SECONDS = 15
 CORRIDOR = str(Path(sys.executable).parent / "corridor")
 STATUS_OK = "ok"
 SLACK = 2e-6  # m or degrees: TUM files carry 9 decimals, evo turns in three dimensions
-RPE_SHARE = 0.2  # each has its own idea of which pose is "a metre further on"
+RPE_SHARE = 0.2  # each selects the pose "a metre further on" differently
 STATISTICS = {"rms": "rmse", "mean": "mean", "max": "max"}  # ours, evo's
 
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """What the demo left behind."""
+    """Files of the demo."""
 
     mcap: Path
     truth: Path  # stamp_ns x_m y_m theta_rad, host's monotonic clock, frame of the start
     utc_offset_ns: int  # Unix time minus monotonic time
 
     def true_poses(self, stamps_ns: list[int]) -> list[SE2]:
-        """Where the vehicle really was at these Unix times, in the frame of its start."""
+        """True poses at these Unix times, in the frame of the vehicle's start."""
         monotonic_ns = np.array(stamps_ns, dtype=np.int64) - self.utc_offset_ns
         return interpolate(np.loadtxt(self.truth, ndmin=2), monotonic_ns)
 

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 from hokuyolx import HokuyoLX
-from telling import expect, facts, tell
+from reporting import expect, facts, report
 
 SINGLE, STANDBY, ASLEEP = 3, 0, 5
 SWEEP_MS = 18.75  # step 0 to 1080
@@ -138,7 +138,7 @@ expect(abs(error.mean()) < 0.5, f"{error.mean():.2f} mm off the walls on average
 expect(
     0.9 < error.std() / truth["sigma_mm"] < 1.1, f"sigma {error.std():.1f} mm, expected {truth['sigma_mm']}"
 )
-tell(
+report(
     scans=len(errors),
     beams=len(error),
     error_mm=error.mean(),

@@ -4,7 +4,7 @@ import math
 from collections import Counter
 
 from mcap_ros2.reader import read_ros2_messages
-from telling import expect, facts, tell
+from reporting import expect, facts, report
 
 MAX_RMSE_M = 0.05
 
@@ -31,4 +31,4 @@ def seen_from_first(track):
 pairs = zip(seen_from_first(poses), seen_from_first(truth["true_poses"]), strict=True)
 rmse_m = math.sqrt(sum(math.dist(a, b) ** 2 for a, b in pairs) / len(poses))
 expect(rmse_m <= MAX_RMSE_M, f"poses {rmse_m:.3f} m off the truth, expected {MAX_RMSE_M} m at most")
-tell(messages=counts.total(), rmse_m=rmse_m)
+report(messages=counts.total(), rmse_m=rmse_m)

@@ -8,7 +8,7 @@ from pamoja.ros2 import (
     percent_mangle,
     type_hash_digest,
 )
-from telling import expect, facts, tell
+from reporting import expect, facts, report
 
 WANTED = facts()
 for named in WANTED["names"]:
@@ -23,4 +23,4 @@ for named in WANTED["names"]:
     key = entity_key(WANTED["domain"], name, kind, named["hash"])
     expect(key == named["key"], f"{key}, not {named['key']}")
     expect(percent_mangle(name) == named["mangled"], f"{percent_mangle(name)}, not {named['mangled']}")
-tell(names=len(WANTED["names"]))
+report(names=len(WANTED["names"]))

@@ -4,7 +4,7 @@ import math
 import time
 
 from pycreate2 import Create2
-from telling import expect, facts, tell
+from reporting import expect, facts, report
 
 SAFE, FULL = 2, 3
 COUNTS = 65_536
@@ -14,7 +14,7 @@ truth = facts()
 
 
 def counts_at(now_ns, side):
-    """What an encoder has counted at host time now_ns, not wrapped."""
+    """Counts of an encoder at host time now_ns, not wrapped."""
     start = truth["start_counts"][side]
     speed_mps = truth["left_mps"] if side == 0 else truth["right_mps"]
     return start + math.floor(speed_mps * (now_ns - truth["start_ns"]) * 1e-9 / truth["m_per_count"])
@@ -70,7 +70,7 @@ while True:
     angle_deg += sensors.angle
     if last_ns - first_ns > SECONDS * 1e9:
         break
-    time.sleep(0.1)  # the program has no event: it asks, and the robot answers with the way since
+    time.sleep(0.1)  # the program has no event: it requests the distance since the last answer
 seconds = (last_ns - first_ns) * 1e-9
 true_distance_mm = 500.0 * (truth["left_mps"] + truth["right_mps"]) * seconds
 lost_mm = readings + 30.0  # each reading cuts off less than a millimetre; the first may be late by some ms
@@ -85,8 +85,8 @@ expect((sensors.velocity_right, sensors.velocity_left) == (100, -50), "velocitie
 robot.drive_stop()
 _, sensors, _ = read(robot)
 expect((sensors.velocity_right, sensors.velocity_left) == (0, 0), "velocities after drive_stop")
-del robot  # it says stop (173) and closes
-tell(
+del robot  # sends stop (173) and closes
+report(
     readings=readings,
     slack_counts=max(slack),
     seconds=seconds,

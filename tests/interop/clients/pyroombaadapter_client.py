@@ -3,7 +3,7 @@
 import time
 
 from pyroombaadapter import PyRoombaAdapter
-from telling import expect, facts, tell
+from reporting import expect, facts, report
 
 SAFE = 2
 COUNTS = 65_536
@@ -38,7 +38,7 @@ for reading, start, speed_mps in zip(
 
 robot.request_distance()
 from_ns = time.monotonic_ns()
-time.sleep(1.0)  # the way of one second is what is measured
+time.sleep(1.0)  # the distance of one second is measured
 distance_mm = robot.request_distance()
 true_mm = 500.0 * (truth["left_mps"] + truth["right_mps"]) * (time.monotonic_ns() - from_ns) * 1e-9
 expect(abs(distance_mm - true_mm) <= 15.0, f"{distance_mm} mm of {true_mm:.0f} mm")
@@ -58,8 +58,8 @@ for side, speed_mps in enumerate((truth["left_mps"], truth["right_mps"])):
     counted.append((counts, expected))
 
 robot.data_stream_stop()
-while robot.serial_con.read(256):  # what is still on the way; an empty second ends it
+while robot.serial_con.read(256):  # data in transit; a second without data ends it
     pass
 expect(robot.request_voltage() == truth["voltage_mv"], "no clean answer after the stream")
-del robot  # it says start (128) and closes
-tell(requests=len(answers) + 4, frames=FRAMES, left_counts=counted[0][0], true_left_counts=counted[0][1])
+del robot  # sends start (128) and closes
+report(requests=len(answers) + 4, frames=FRAMES, left_counts=counted[0][0], true_left_counts=counted[0][1])

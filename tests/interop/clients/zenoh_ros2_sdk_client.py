@@ -1,4 +1,4 @@
-"""Sees the service as a node of ROS 2 sees it: lists, subscribes, calls, and stays while it is restarted.
+"""A client of the service as a node of ROS 2: lists, subscribes, calls, and stays while it is restarted.
 
 Types, hashes and quality of service are computed here from the definitions that rosbags brings.
 """
@@ -8,8 +8,8 @@ import time
 from itertools import pairwise
 
 import numpy as np
+from reporting import expect, facts, report
 from rosbags.typesys import Stores, get_typestore
-from telling import expect, facts, tell
 from zenoh_ros2_sdk import ROS2Publisher, ROS2ServiceClient, ROS2Subscriber
 from zenoh_ros2_sdk.discovery import get_service_names_and_types, get_topic_info, get_topic_names_and_types
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
@@ -50,7 +50,7 @@ def message_hash(message_type: str) -> str:
 
 
 def common(message_type: str) -> dict[str, object]:
-    """What publishers and subscribers of the SDK take alike."""
+    """Arguments of publishers and subscribers of the SDK."""
     whole, _ = JAZZY.generate_msgdef(message_type, ros_version=2)
     described = {"msg_type": message_type, "msg_definition": whole, "type_hash": message_hash(message_type)}
     return described | ROUTER
@@ -200,7 +200,7 @@ def main() -> None:
     check_topics()
     for subscriber in subscribers:
         subscriber.close()
-    tell(messages=sum(heard.values()), late_s=late_s, known=known, back_at_s=back_at_s)
+    report(messages=sum(heard.values()), late_s=late_s, known=known, back_at_s=back_at_s)
 
 
 main()

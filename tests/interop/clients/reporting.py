@@ -1,4 +1,4 @@
-"""What every client script shares: the facts it is given, how it reports a fault, how it says what it saw."""
+"""Shared by the client scripts: reading the facts, reporting a fault, reporting the values seen."""
 
 import json
 import sys
@@ -12,11 +12,11 @@ def facts() -> dict[str, Any]:
 
 
 def expect(holds: bool, words: str) -> None:
-    """End with words where something is not as it should be."""
+    """Exit with a message where a condition does not hold."""
     if not holds:
         raise SystemExit(words)
 
 
-def tell(**seen: Any) -> None:
-    """The last line of stdout."""
+def report(**seen: Any) -> None:
+    """Prints the last line of stdout."""
     print(json.dumps(seen), flush=True)
