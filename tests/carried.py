@@ -1,4 +1,4 @@
-"""A drive of which the devices are silent for a while, and what became of the vehicle meanwhile."""
+"""A drive during which devices are silent for a time, and the vehicle's motion meanwhile."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from tests.simulated import Drive
 
 
 def silent(made: Drive, at_ns: int, for_ns: int) -> Drive:
-    """Driven on. Odometry counts while no one listens: its next pose knows the way."""
+    """Driven on. Odometry counts on: its next pose includes the distance driven meanwhile."""
     return replace(made, frames=[f for f in made.frames if not at_ns <= f.arrived_ns < at_ns + for_ns])
 
 
@@ -21,7 +21,7 @@ def laser_silent(made: Drive, at_ns: int, for_ns: int) -> Drive:
 
 
 def carried_on(made: Drive, at_ns: int, for_ns: int) -> Drive:
-    """Lifted and carried along the way of the drive, of which odometry counts nothing."""
+    """Lifted and carried along the path of the drive, without counts of odometry."""
     left = silent(made, at_ns, for_ns)
     before = [f for f in left.frames if f.arrived_ns < at_ns]
     after = [f for f in left.frames if f.arrived_ns >= at_ns]
@@ -31,7 +31,7 @@ def carried_on(made: Drive, at_ns: int, for_ns: int) -> Drive:
 def carried_back(made: Drive, again: Drive, at_ns: int, for_ns: int, to_ns: int, then_ns: int) -> Drive:
     """Lifted and carried to where the drive came by before, and driven on from there.
 
-    again     the same drive with other noise: its frames from to_ns on, for then_ns, are what follows
+    again     the same drive with other noise: its frames from to_ns on, for then_ns, follow
     """
     by_ns = at_ns + for_ns - to_ns
     before = [f for f in made.frames if f.arrived_ns < at_ns]
@@ -46,7 +46,7 @@ def carried_back(made: Drive, again: Drive, at_ns: int, for_ns: int, to_ns: int,
 
 
 def _counted_on(before: list[Frame], after: list[Frame]) -> list[Frame]:
-    """What comes after, with odometry going on where it was."""
+    """The frames after, with odometry that goes on from its last pose before."""
     last = next(f for f in reversed(before) if isinstance(f, OdometrySample))
     first = next(f for f in after if isinstance(f, OdometrySample))
     by = _pose(last) @ _pose(first).inverse()

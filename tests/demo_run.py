@@ -40,8 +40,8 @@ class DemoRun:
 
     @property
     def was_in_time(self) -> bool:
-        """Whether stamps could be true to some centimetres of the way. A clock that is met for the first time
-        or has jumped is learnt from arrivals, so they are no truer then than the machine is quick.
+        """Whether stamps could be correct to some centimetres of path. A clock that is new or has jumped is
+        learnt from arrivals, so that its stamps are late by the delays of the machine.
         """
         longest_s = self.summary["latency_ms"]["max"] / 1e3
         return not self.left_out and self.late_s < IN_TIME_S and longest_s < STALL_S
@@ -67,14 +67,14 @@ def run_demo(
     ) as process:
         try:
             with in_background(watch):
-                said, log = process.communicate(timeout=1.1 * seconds + ENDS_WITHIN_S)
+                output, log = process.communicate(timeout=1.1 * seconds + ENDS_WITHIN_S)
         finally:
             process.kill()
     assert process.returncode == 0, log
     left_out: Counter[str] = Counter()
     for name, count in LEFT_OUT.findall(log):
         left_out[name] += int(count)
-    summary = json.loads(said)
+    summary = json.loads(output)
     late_s = _reading_takes_s(Path(summary["session"])) + summary["latency_ms"]["p99"] / 1e3
     return DemoRun(seconds, summary, left_out, late_s)
 

@@ -1,6 +1,6 @@
 """`make test`: groups of tests side by side, how far each is while it runs, and their failures at the end.
 
-What computes gives way (nice) to what talks to browsers and clocks, and that to whole machines in real time.
+Priorities (nice) rise from groups that compute, over those with browsers and clocks, to those in real time.
 """
 
 import os
@@ -22,7 +22,7 @@ from typing import IO
 from service.compile.cache import ensure_cache_dir, is_warm
 
 LOGS = Path("build")
-TELL_S = 10.0  # no silence for longer
+REPORT_S = 10.0  # between two lines of progress
 LOOK_S = 0.5
 MAX_SILENCE_S = 900.0  # of a group; no test may take as long
 # Set, each of some hundred processes would compile every file again: a third of their processor time.
@@ -85,7 +85,7 @@ class Running:
         # faulthandler: SIGABRT writes the stacks of all threads to the log
         command = [sys.executable, "-X", "faulthandler", "-m", "pytest"]
         command += ["-q", "-rs", "-p", "tests.failures_at_once", "-m", "not soak and not bench"]
-        command += ["--durations=25"]  # its slowest tests stand at the end of its words
+        command += ["--durations=25"]  # its slowest tests are at the end of its output
         # By default all groups share one folder; two that clear it at the same time at their ends fail.
         command += [f"--basetemp={scratch / group.name}"]
         self.process = subprocess.Popen(
@@ -94,11 +94,11 @@ class Running:
             stdout=self._file,
             stderr=subprocess.STDOUT,
         )
-        self.told = False
+        self.reported = False
         self._cpu_s = 0.0
         self._log_bytes = 0
         self._wrote_s = self._began_s
-        self._failures = 0  # that were given
+        self._failures = 0  # reported so far
 
     def wait(self, seconds: float) -> bool:
         """Whether it has ended within so long; the processor time of an ended one is read here."""
@@ -133,9 +133,9 @@ class Running:
         return new
 
     def end(self) -> str:
-        """Its last word, once it has ended."""
+        """Its last line of output, once it has ended."""
         self._file.close()
-        words = self.text.strip().splitlines() or ["said nothing"]
+        words = self.text.strip().splitlines() or ["no output"]
         took_s = time.monotonic() - self._began_s
         return (
             f"{self.group.name}: exit code {self.process.returncode} after {took_s:.0f} s, "
@@ -156,14 +156,14 @@ def run(groups: Sequence[Group], folder: Path = LOGS) -> int:
             alive[0].wait(LOOK_S)
             for one in running:
                 one.abort_if_silent()
-                if one.wait(0.0) and not one.told:
-                    one.told = True
+                if one.wait(0.0) and not one.reported:
+                    one.reported = True
                     say(one.end())
-            if time.monotonic() - reported_s >= TELL_S:
+            if time.monotonic() - reported_s >= REPORT_S:
                 reported_s = time.monotonic()
                 for line in (line for one in running for line in one.new_failures()):
                     say(line)
-                shares = ", ".join(f"{o.group.name} {o.percent} %" for o in running if not o.told)
+                shares = ", ".join(f"{o.group.name} {o.percent} %" for o in running if not o.reported)
                 if shares:
                     say(f"{reported_s - began_s:4.0f} s: {shares}")
     finally:
@@ -183,7 +183,7 @@ def summarise(running: Sequence[Running], took_s: float) -> int:
     """Failures whole, each reason to skip once with its count, and what it cost."""
     failed = [one for one in running if one.process.returncode != 0]
     for one in running:
-        if not one.told:
+        if not one.reported:
             say(one.end())
     for one in failed:
         say(f"\n===== {one.group.name} =====")

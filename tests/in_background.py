@@ -17,7 +17,7 @@ def started(work: Callable[[], Result]) -> Future[Result]:
     def run() -> None:
         try:
             future.set_result(work())
-        except BaseException as error:  # for who asks for the result
+        except BaseException as error:  # result() raises it
             future.set_exception(error)
 
     threading.Thread(target=run, daemon=True).start()

@@ -16,7 +16,7 @@ from simulators.world import PERSON_RADIUS_M, Mover, Walk, World
 
 STEP_S = 0.1  # between the places that a walk or a path is made of
 FLOOR_STEP_S = 0.02
-LOOK_AHEAD_S = 60.0  # of the drive: whoever walks ahead of the vehicle knows its path so far
+LOOK_AHEAD_S = 60.0  # of the drive: people ahead of the vehicle follow its path so far
 FOR_EVER_S = 1e9
 SWAY_RADPS = (3.0, 6.0)  # of a person to and fro: about a step a second
 FLOOR_REFLECTIVITY = 0.3

@@ -1,4 +1,4 @@
-"""What Linux tells of processes, in /proc."""
+"""Processes, read from /proc."""
 
 import os
 from collections.abc import Iterator
@@ -38,12 +38,12 @@ def look_at(pid: int) -> Process | None:
 
 
 def is_there(pid: int) -> bool:
-    """Also where it has ended, and nobody has waited for it."""
+    """Also where it has ended and has not been waited for."""
     return Path(f"/proc/{pid}").exists()
 
 
 def command_of(pid: int) -> str:
-    """Its words; "" where it has ended."""
+    """Its arguments; "" where it has ended."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").replace("\0", " ")
     except OSError:

@@ -34,7 +34,7 @@ MAX_PHASE_M = 0.1  # no cell of a profile is wider
 
 @dataclass(frozen=True, slots=True)
 class GyroFault:
-    """The gyroscope measures its last rate over and over, or the true one and a bias."""
+    """The gyroscope measures its last rate again and again, or the true one and a bias."""
 
     from_s: float
     to_s: float
@@ -71,7 +71,7 @@ UTM30LX_40HZ = Laser(UTM30LX, 1081, 40.0, -135.0, 0.25)
 
 @dataclass(frozen=True)
 class Wheels:
-    """Odometry's errors: a wrong scale, a wrong track, and noise that grows with the way."""
+    """Odometry's errors: a wrong scale, a wrong track, and noise that grows with the distance."""
 
     scale: float = 1.0
     turn_scale: float = 1.0
@@ -93,24 +93,24 @@ class Imu:
 
 @dataclass(frozen=True)
 class Drive:
-    """What the sensors said, and where the base was at each scan's first ray, seen from the first scan."""
+    """Frames, and the true poses of the base at each scan's first ray, in the frame of the first."""
 
     frames: list[Frame]
     truth: dict[int, SE2]
     world_first: SE2 = ORIGIN  # the base at the first scan, in the frame of the world
 
     def at(self, stamp_ns: int) -> SE2:
-        """Where the base was between two scans, seen from the first: in the middle of a sweep, say."""
+        """True pose of the base between two scans, in the frame of the first."""
         stamps = sorted(self.truth)
         k = min(max(bisect_right(stamps, stamp_ns), 1), len(stamps) - 1)
         before, after = self.truth[stamps[k - 1]], self.truth[stamps[k]]
         share = (stamp_ns - stamps[k - 1]) / (stamps[k] - stamps[k - 1])
-        return before @ SE2.exp(*(share * way for way in (before.inverse() @ after).log()))
+        return before @ SE2.exp(*(share * part for part in (before.inverse() @ after).log()))
 
 
 @dataclass
 class Run:
-    """What a mapper made of a drive."""
+    """Outputs of a mapper over a drive, and their errors."""
 
     outputs: list[MapperOutput]
     scan_ms: npt.NDArray[np.float64]
@@ -190,7 +190,7 @@ def drives(
     imu: Imu | None = None,
     stand_s: float = 0.5,
 ) -> list[Drive]:
-    """The same drive once for each seed, as `drive` gives them; what there is to see is cast only once."""
+    """The same drive once for each seed, as `drive` gives them; the beams are cast only once."""
     ride = Ride(world, 0, stand_s)
     scans_of_seeds = scans(ride, laser, seconds, seeds)
     truth = {frame.stamp_ns: ride.pose(frame.stamp_ns) for frame in scans_of_seeds[0]}
@@ -318,7 +318,7 @@ def run(
 
 def run_session(config: MappingConfig, what: Drive) -> Run:
     """A drive through a session, as `corridor replay` makes it: what the graph finds comes back half a second
-    later. Of a mapper alone, as in `run`, the graph only hears, until it is finished.
+    later. Of a mapper alone, as in `run`, the graph only receives, until it is finished.
     """
     session = MappingSession(lambda: build_mapper(config, {"front": FORWARD}), ["front"])
     return _through(session, what.frames, what)
@@ -341,7 +341,7 @@ def off_walls_m(xy: npt.NDArray[np.float64], walls: npt.NDArray[np.float64]) -> 
     """(N,) from each of (N, 2) places to the nearest of walls [x0, y0, x1, y1]."""
     nearest_m = np.full(len(xy), np.inf)
     for x0, y0, x1, y1 in walls:
-        way, off = np.array([x1 - x0, y1 - y0]), xy - (x0, y0)
-        along = np.clip(off @ way / max(way @ way, 1e-12), 0.0, 1.0)
-        nearest_m = np.minimum(nearest_m, np.hypot(*(off - along[:, None] * way).T))
+        wall, off = np.array([x1 - x0, y1 - y0]), xy - (x0, y0)
+        along = np.clip(off @ wall / max(wall @ wall, 1e-12), 0.0, 1.0)
+        nearest_m = np.minimum(nearest_m, np.hypot(*(off - along[:, None] * wall).T))
     return nearest_m

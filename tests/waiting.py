@@ -1,4 +1,4 @@
-"""For what another thread or process does and no event tells."""
+"""For a change by another thread or process without an event."""
 
 import threading
 import time
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 
 def wait_until(condition: Callable[[], object], timeout_s: float = 30.0, words: str = "it is not so") -> None:
-    """Look each 5 ms. Raises AssertionError, with the words, where it does not come about in time."""
+    """Check each 5 ms. Raises AssertionError, with the words, where it is not so in time."""
     pause, deadline_s = threading.Event(), time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < deadline_s, f"after {timeout_s} s {words}"
