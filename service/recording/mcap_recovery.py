@@ -41,7 +41,6 @@ MCAP_SUFFIX = ".mcap"
 WORKING_SUFFIX = ".recovering"
 DAMAGED_SUFFIX = ".damaged"  # the original, where something in its middle was lost
 UNREADABLE_SUFFIX = ".unreadable"  # a leftover without a single message
-STOP_TIMEOUT_S = 5.0
 
 _FRAME = struct.Struct("<BQ")  # opcode, length of what follows
 _CHUNK_FIXED = struct.Struct("<QQQII")  # first and last log time, size, crc, length of the compression's name
@@ -405,12 +404,8 @@ class Leftovers:
 
     def stop(self) -> None:
         """Stop; the next start begins again, and nothing is lost."""
-        self._process.terminate()
-        try:
-            self._process.wait(STOP_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._process.kill()
+        self._process.wait()
 
 
 def recover_leftovers(paths: Sequence[Path]) -> None:

@@ -214,10 +214,10 @@ class MapperLink:
             if channel is not None:
                 channel.close()
         self._active = self._standby = None
-        _kill(self._pid)
         self._pid = 0
         if self._process is not None:
-            _kill(self._process.pid)
+            with suppress(ProcessLookupError):  # stand-bys and back ends, which stay in its group, end too
+                os.killpg(self._process.pid, signal.SIGKILL)
             self._bury()
         self._mapper_socket.close()
 
@@ -448,11 +448,11 @@ class MapperLink:
             self._delayed.clear()  # they are among those kept
         pid, self._pid = self._pid, 0
         _kill(pid)
-        if self._process is not None and self._process.pid == pid:
-            self._bury()
 
     def _bury(self) -> None:
-        """Reap the killed process that was started here, within a bounded time."""
+        """Reap the killed process that was started here, within a bounded time. Not before the end: until
+        then no other process gets its number, which is that of the group.
+        """
         assert self._process is not None
         try:
             self._process.wait(END_S)

@@ -13,7 +13,6 @@ from service.errors import words_of
 
 WORK_TIMEOUT_S = 300.0  # of an export or an edit
 TURN_TIMEOUT_S = 20.0  # until the request before is answered
-CLOSE_TIMEOUT_S = 2.0
 
 
 class ResourceError(Exception):
@@ -60,12 +59,8 @@ class SessionMapProcess:
         process, self._process = self._process, None
         if process is None:
             return
-        process.terminate()
-        try:
-            process.wait(CLOSE_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        process.kill()
+        process.wait()
         for pipe in (process.stdin, process.stdout):
             assert pipe is not None
             pipe.close()
