@@ -20,6 +20,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Protocol
 
+from service.deadline import SAVE_S, Deadline
 from service.runtime import mapper_messages as msg
 from service.runtime.backlog import Backlog
 from service.runtime.channel import Channel, ChannelClosedError, Listening, wait_for
@@ -89,7 +90,7 @@ class MapperLink:
         self._deaths = (0, 0)  # how many since the item that was done last
         self._back_ends_died_s: deque[float] = deque(maxlen=MAX_BACK_END_DEATHS)  # host monotonic
         self._orphaned: tuple[str, float] | None = None  # why there is no mapper, and since when
-        self._is_finishing = False
+        self._deadline: Deadline | None = None  # once it is finishing
         self._finished = threading.Event()
         self._ready = threading.Event()
         self._closed = threading.Event()
@@ -173,21 +174,19 @@ class MapperLink:
         finally:
             self._over.set()
 
-    def finish(self, timeout_s: float) -> bool:
+    def finish(self, deadline: Deadline) -> bool:
         """After the last item: have the graph finish and the last tiles handed over.
 
-        False if that takes longer, was never begun, or the mapper is lost for good.
+        False if that is not done SAVE_S before the deadline, was never begun, or the mapper is lost for good.
         """
         if not self._ready.is_set():
             return False
         with self._lock:
-            self._is_finishing = True
+            self._deadline = deadline
             if self._active is not None:
                 self._send_delayed(msg.Finish())
-        deadline_s = time.monotonic() + timeout_s
-        while not self._finished.wait(LISTEN_S) and not self._over.is_set():
-            if time.monotonic() > deadline_s:
-                break
+        while deadline.left_s > SAVE_S and not self._over.is_set() and not self._finished.wait(LISTEN_S):
+            pass
         return self._finished.is_set()
 
     def _send_delayed(self, *messages: Any) -> None:
@@ -337,7 +336,7 @@ class MapperLink:
             if not self._keeps_items:
                 self._kept.clear()
             self._ready.set()
-            if self._is_finishing:
+            if self._deadline is not None:
                 self._active.send(msg.Finish())
 
     def _keep_items(self, for_standby: bool) -> None:
@@ -361,8 +360,10 @@ class MapperLink:
             if self._delayed and time.monotonic_ns() - self._delayed[0].arrived_ns > HOLD_NS:
                 self._send_delayed()
         is_mapping = self._active is not None and self._ready.is_set() and not self._finished.is_set()
-        is_owing = is_mapping and (self.waiting > 0 or self._is_finishing)
+        is_owing = is_mapping and (self.waiting > 0 or self._deadline is not None)
         if is_owing and self._silence.is_too_long(self._pid):
+            if self._deadline is not None:
+                self._deadline.found_hung()
             self._lost(f"said nothing for {self.silent_s:.1f} s while {self.waiting} items waited")
 
     def _lose_standby(self, channel: Channel) -> None:
@@ -408,7 +409,7 @@ class MapperLink:
         assert self._orphaned is not None
         how, since_s = self._orphaned
         if self._standby is None:
-            if time.monotonic() - since_s > (STILL_S if self._is_finishing else STANDBY_S):
+            if time.monotonic() - since_s > (STILL_S if self._deadline is not None else STANDBY_S):
                 raise MapperLostError(f"the mapper's process {how}, and no stand-by was there")
             return
         self._orphaned = None
@@ -429,7 +430,7 @@ class MapperLink:
             for message in (
                 msg.Go(self._done_number, decisions, self._back_end_dies_again_and_again()),
                 *self._kept,
-                *([msg.Finish()] if self._is_finishing else []),
+                *([msg.Finish()] if self._deadline is not None else []),
             ):
                 if self._active is not None:  # else the next turn finds it lost, too
                     self._send(message)

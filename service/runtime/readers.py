@@ -9,6 +9,7 @@ from typing import Any
 
 from drivers.frames import Frame
 from drivers.link import LinkHealth, RawChunk, run_link
+from service.deadline import Deadline
 from service.encoding import Message, encode_raw
 from service.sensor_kinds import SENSOR_KINDS
 
@@ -89,12 +90,13 @@ class Readers:
         for name, sensor in self._sensors.items():
             self._threads.append(self._workers.start(f"reader-{name}", self._reader(name, sensor)))
 
-    def stop(self) -> None:
+    def stop(self, deadline: Deadline) -> None:
         """Disconnect every device, in order of the config; one that hangs is left behind."""
         self._stop.set()
-        deadline_s = time.monotonic() + STOP_S
+        until_s = time.monotonic() + STOP_S
         for thread in self._threads:
-            self._workers.join(thread, max(deadline_s - time.monotonic(), 0.0))
+            if not self._workers.join(thread, max(until_s - time.monotonic(), 0.0)):
+                deadline.found_hung()
 
     def _reader(self, name: str, sensor: Any) -> Callable[[], None]:
         kind = SENSOR_KINDS[sensor.type]

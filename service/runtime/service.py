@@ -20,6 +20,7 @@ from pathlib import Path
 from drivers.frames import Frame
 from drivers.link import LinkHealth
 from service.config import ServiceConfig, mapped_lasers, mounted_upside_down, mountings, tf_static
+from service.deadline import WORKING_S, Deadline
 from service.encoding import decode_pose, encode_event
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, InputError
@@ -43,7 +44,7 @@ from service.runtime.profile_switch import PresentMapping, ProfileSwitch
 from service.runtime.readers import Readers, Workers
 from service.runtime.resume import Point, PointWriter, point_file, resumed
 from service.runtime.summary import RunningStatus, Summary, running_status
-from service.sinks.fan_out import CLOSE_S, FLUSH_S, Sinks
+from service.sinks.fan_out import Sinks
 from service.sinks.registry import SINKS
 from service.sinks.sink import SinkContext
 from service.version import VERSION
@@ -56,7 +57,6 @@ WARM_UP_MORE_S = 60.0  # and how long it may take from then on
 WARM_UP_TELL_S = 2.0  # how often the log reports that it goes on
 GRAPH_FINISH_S = 20.0  # for the last loops, at the end of a run
 WAKE_S = 0.1  # how often a start looks whether it is cancelled
-MAPPING_STOP_S = GRAPH_FINISH_S + 20.0
 
 
 class Service:
@@ -227,22 +227,23 @@ class Service:
         """End drivers, mapper and sinks, in this order, each even if one before it failed."""
         self.stopped = True
         self._notifier.stopping()
+        self._notifier.need_more_time(WORKING_S)
+        deadline = Deadline()
         stopped_ns = time.monotonic_ns()
         seconds = (stopped_ns - self._ready_ns) / 1e9 if self._ready_ns else 0.0
         cpu_s = self._processor_s() - self._cpu_s
-        self._end("the end of drivers", self._readers.stop)
+        self._end("the end of drivers", lambda: self._readers.stop(deadline))
         lost: list[str] = []
-        self._end("the end of the mapper", lambda: lost.extend(self._stop_mapping()))
-        self._notifier.need_more_time(FLUSH_S + CLOSE_S)
+        self._end("the end of the mapper", lambda: lost.extend(self._stop_mapping(deadline)))
+        self._end("the end of commands", self._commands.close)  # a sink waits for one that is not answered
         self._end("the end of the point to resume at", lambda: self._resume.stop(WAKE_S))
         try:
-            lost += self._sinks.flush()
+            lost += self._sinks.flush(deadline)
             if self._ready_ns:
                 self._end("the last health", lambda: self._tell_health(stopped_ns))
                 self._end("the event stop", lambda: self._event("stop", reason=self.failure or "asked to"))
-            self._end("the end of commands", self._commands.close)
         finally:
-            lost += self._sinks.close()
+            lost += self._sinks.close(deadline)
             threading.excepthook = self._excepthook
             gc.unfreeze()
         if self._ready_ns and not self.failure and not lost:
@@ -305,19 +306,18 @@ class Service:
             log_level=logging.getLogger().getEffectiveLevel(),
         )
 
-    def _stop_mapping(self) -> list[str]:
+    def _stop_mapping(self, deadline: Deadline) -> list[str]:
         """Map the waiting items, then end the mapper's process. What the map lacks, a sentence each."""
         lacks: list[str] = []
         self._intake.close()
         if self._mapping is not None:
-            self._notifier.need_more_time(MAPPING_STOP_S)
-            if self._ready_ns and not self.failure and not self._link.finish(MAPPING_STOP_S):
+            if self._ready_ns and not self.failure and not self._link.finish(deadline):
                 lacks.append("the mapper did not finish; the map lacks what it had not handed over")
                 log.error("%s", lacks[0])
             elif self.outputs.graph_fault:
                 lacks.append(f"the map lacks loops: {self.outputs.graph_fault}")
             self._link.close()
-            self._workers.join(self._mapping, MAPPING_STOP_S)
+            self._workers.join(self._mapping, deadline.left_s)
         self._link.clean_up()
         return lacks
 

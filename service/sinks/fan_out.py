@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from service.deadline import Deadline
 from service.encoding import ERROR, Message, Status
 from service.errors import CorridorError, StorageError
 from service.outputs import TileUpdate, reason_value
@@ -16,9 +17,7 @@ from service.sinks.sink import MapStorage, SessionRecorder, Sink, SinkContext
 
 log = logging.getLogger(__name__)
 
-FLUSH_S = 20.0  # that a sink may take to bring out what it kept back
-CLOSE_S = 40.0  # and to end; the recorder waits 30 s for its disk
-STALL_S = 3.0  # so long where this process neither computes nor writes meanwhile
+STALL_S = 3.0  # that a sink may take where this process neither computes nor writes meanwhile
 LOOK_S = 0.1
 
 
@@ -50,7 +49,7 @@ class Sinks:
                 if sink is not None:
                     self._sinks.append(sink)
         except BaseException:
-            self.close()
+            self.close(Deadline())
             raise
 
     def session_recorder(self) -> SessionRecorder:
@@ -109,22 +108,22 @@ class Sinks:
                 return True
         return False
 
-    def flush(self) -> list[str]:
+    def flush(self, deadline: Deadline) -> list[str]:
         """Flush all at the same time. What is lost, a sentence each; empty where all is well."""
-        return [fault for _, fault in self._end("flush", FLUSH_S)]
+        return [fault for _, fault in self._end("flush", deadline)]
 
-    def close(self) -> list[str]:
+    def close(self, deadline: Deadline) -> list[str]:
         """Close all at the same time, each even if another fails or hangs. What is lost, as of `flush`."""
-        return [fault for error, fault in self._end("close", CLOSE_S) if isinstance(error, StorageError)]
+        return [fault for error, fault in self._end("close", deadline) if isinstance(error, StorageError)]
 
-    def _end(self, action: str, timeout_s: float) -> list[tuple[BaseException | None, str]]:
+    def _end(self, action: str, deadline: Deadline) -> list[tuple[BaseException | None, str]]:
         """Have every sink flush or close in a thread of its own; one that hangs is left behind, for good.
 
         Faults, with what was raised; None where one hangs.
         """
         sinks = [sink for sink in self._sinks if sink.name not in self._hung]
         endings = [_Ending(sink, action) for sink in sinks]
-        _wait_while_they_work(endings, timeout_s)
+        _wait_while_they_work(endings, deadline)
         faults = []
         for ending in endings:
             if fault := ending.fault():
@@ -167,17 +166,16 @@ class Sinks:
         return Status(row.name, ERROR, fault, values)
 
 
-def _wait_while_they_work(endings: Sequence["_Ending"], timeout_s: float) -> None:
-    """Until all have ended, timeout_s have passed, or nothing has been computed or written for STALL_S."""
-    work, now_s = _work_done(), time.monotonic()
-    deadline_s, stalled_s = now_s + timeout_s, now_s + STALL_S
-    while (running := [ending for ending in endings if ending.is_running]) and now_s < min(
-        deadline_s, stalled_s
-    ):
+def _wait_while_they_work(endings: Sequence["_Ending"], deadline: Deadline) -> None:
+    """Until all have ended, the deadline, or nothing has been computed or written for STALL_S."""
+    work, worked_s = _work_done(), time.monotonic()
+    while (running := [ending for ending in endings if ending.is_running]) and deadline.left_s > 0.0:
         running[0].join(LOOK_S)
-        now_s = time.monotonic()
         if (done := _work_done()) != work:
-            work, stalled_s = done, now_s + STALL_S
+            work, worked_s = done, time.monotonic()
+        elif time.monotonic() - worked_s > STALL_S:
+            deadline.found_hung()
+            return
 
 
 def _work_done() -> tuple[int, int]:

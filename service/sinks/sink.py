@@ -88,7 +88,7 @@ class Sink(Protocol):
 
     @abstractmethod
     def close(self) -> None:
-        """Bring out what waits and end every thread within 40 s (CLOSE_S of the fan-out).
+        """Bring out what waits and end every thread, before the deadline of the shutdown.
 
         Called once, after `flush`, also where `start` was never called or failed. Raises StorageError as
         `flush` does.
@@ -119,7 +119,7 @@ class Sink(Protocol):
     def flush(self) -> None:
         """Nothing is mapped any more: bring out what was kept back, and emit what all sinks should have.
 
-        Ends within 20 s (FLUSH_S of the fan-out), or is left behind.
+        Ends before the deadline of the shutdown, or is left behind.
 
         Raises StorageError where something the run was made for is lost; the process then exits with 1.
         A sink that holds nothing back inherits this.

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
+from service.deadline import Deadline
 from service.encoding import decode_pose, encode_frame
 from service.geometry.se2 import SE2
 from service.runtime import mapper_link, standstill
@@ -401,7 +402,7 @@ def test_a_process_that_has_ended_is_killed_once_and_not_again(drive: Drive, mon
     os.kill(first, signal.SIGKILL)
     drive.until(lambda: drive.link.pid not in (0, first))
     second = drive.link.pid
-    assert drive.link.finish(TIMEOUT_S)
+    assert drive.link.finish(Deadline())
     drive.until(lambda: drive.link.pid == 0)
     drive.stop()
     assert [pid for pid in killed if pid] == [first, second]
@@ -419,7 +420,7 @@ def test_everything_ends_with_the_link(drive: Drive, is_stopped: bool):
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
     else:
-        assert drive.link.finish(TIMEOUT_S)
+        assert drive.link.finish(Deadline())
     drive.stop()
     for pid in pids:
         drive.until(lambda pid=pid: not is_there(pid))

@@ -3,6 +3,7 @@
 import gc
 import os
 import re
+import signal
 import socket
 import threading
 import time
@@ -16,11 +17,13 @@ import numpy as np
 import pytest
 
 from service.config import ServiceConfig, parse_config
+from service.deadline import Deadline
 from service.encoding import ERROR, OK, Message, Status, decode_diagnostics
 from service.errors import CorridorError, InputError, StorageError
 from service.mapstore.begin_in import MapVersion, recorded_version
 from service.mapstore.files import load_map, save_map, version_folder
 from service.outputs import TileUpdate
+from service.publishing.commands import Answer
 from service.recording.mcap_file import McapFile
 from service.recording.mcap_reader import Recording
 from service.runtime import service as service_module
@@ -31,12 +34,15 @@ from service.runtime.mapper_link import MAX_DEATHS, MapperLink
 from service.runtime.notify import Notifier
 from service.runtime.readers import Readers
 from service.runtime.service import Service
+from service.sinks.map_saver import MapSaver
 from service.sinks.registry import SinkKind
 from service.sinks.sink import Sink, SinkContext
+from tests.in_background import started
 from tests.service.mapstore.tile_makers import graph_of
 from tests.service.recording.sessions import events_of
 from tests.service.runtime.mappers import FATAL_RANGE_M, LOADED
 from tests.service.runtime.mapping_runs import scan
+from tests.waiting import wait_until
 
 pytestmark = pytest.mark.usefixtures("forked_mappers")
 
@@ -225,6 +231,27 @@ def test_a_mapper_that_does_not_end_in_good_order_costs_neither_recording_nor_ma
     assert "the disk hangs" in events_of(*summary.sessions)[-1]["reason"]
 
 
+def test_a_sink_that_waits_for_the_mapper_at_the_end_hears_that_no_answer_comes(
+    open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
+):
+    answers: list[Answer] = []
+
+    def flush_late(self: MapSaver) -> None:
+        answers.append(asking.result(5.0))
+        flush(self)
+
+    flush = MapSaver.flush
+    monkeypatch.setattr(MapSaver, "flush", flush_late)
+    monkeypatch.setattr(MapperLink, "finish", lambda self, deadline: False)
+    service = open_service()
+    service.start()
+    os.kill(service.mapper_pid, signal.SIGSTOP)
+    asking = started(lambda: service._command("checkpoint", b"{}"))
+    wait_until(lambda: service._link.waiting)
+    service.stop()
+    assert b"the service is stopping" in answers[0].body
+
+
 def test_what_cannot_be_reported_at_the_end_costs_neither_recording_nor_hooks(
     open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
@@ -237,7 +264,7 @@ def test_what_cannot_be_reported_at_the_end_costs_neither_recording_nor_hooks(
     monkeypatch.setattr(HealthReport, "message", fail)
     monkeypatch.setattr(Commands, "close", lambda self: [][0])
     summary = service.stop()
-    assert service.failure == "the last health: ValueError: a rate that is no number"
+    assert service.failure == "the end of commands: IndexError: list index out of range"
     assert not list((tmp_path / "sessions").glob("*.active"))
     assert events_of(*summary.sessions)[-1] == {"event": "stop", "reason": service.failure}
     assert (threading.excepthook, gc.get_freeze_count()) == (hook, 0)
@@ -262,8 +289,8 @@ def test_a_clean_stop_is_no_fault_however_long_it_takes(
         monotonic_ns=lambda: link.last_frame_ns + 60 * 10**9,
     )
 
-    def stop(self: Readers) -> None:
-        stop_readers(self)
+    def stop(self: Readers, deadline: Deadline) -> None:
+        stop_readers(self, deadline)
         monkeypatch.setattr(service_module, "time", later)
 
     stop_readers = Readers.stop

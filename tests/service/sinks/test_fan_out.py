@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import pytest
 
+from service.deadline import Deadline
 from service.encoding import ERROR, OK, Message, Status
 from service.errors import StorageError
 from service.outputs import TileUpdate
@@ -135,7 +136,7 @@ def test_a_thread_of_a_sink_that_dies_is_the_sink_s_fault_and_another_thread_is_
 
 def test_what_is_lost_while_closing_is_reported_and_other_faults_cost_nothing():
     full = ListSink("full", ["close"], StorageError("recording: no space"))
-    assert Sinks([full, ListSink("odd", ["close"])]).close() == ["recording: no space"]
+    assert Sinks([full, ListSink("odd", ["close"])]).close(Deadline()) == ["recording: no space"]
 
 
 @pytest.mark.parametrize("action", ["flush", "close"])
@@ -146,7 +147,7 @@ def test_a_sink_that_hangs_at_the_end_is_left_behind_and_holds_up_no_other(
     hangs, well = ListSink("hangs"), ListSink("well")
     hangs.may_end.clear()
     sinks = Sinks([hangs, well])
-    getattr(sinks, action)()
+    getattr(sinks, action)(Deadline())
     assert well.ended == [action]
     row = sinks.health()[0]
     assert (row.level, row.message) == (ERROR, f"hangs did not {action} within 0 s")

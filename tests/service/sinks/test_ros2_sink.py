@@ -1,7 +1,7 @@
 """The sink as the service opens it: what goes out, what is in health, and that nothing is encoded twice."""
 
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from itertools import product
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import pytest
 import zenoh
 from rosbags.typesys.store import Typestore
 
+from service.deadline import Deadline
 from service.encoding import OK, WARNING, Status, encode_diagnostics, encode_frame, encode_pose, encode_tf
 from service.mapstore.tiles import TileStore
 from service.publishing.config import PublishingConfig
@@ -91,7 +92,8 @@ def test_zenoh_ros_and_recording_have_the_same_bytes_encoded_once(tmp_path: Path
 
     monkeypatch.setattr(Typestore, "serialize_cdr", refuse)
     sinks, native, ros = Sinks(), Inbox(), Inbox()
-    with closing(sinks):
+    with ExitStack() as stack:
+        stack.callback(sinks.close, Deadline())
         sinks.open([kind for kind in SINKS if kind.section in sections], sections, context)
         sinks.start()
         with zenoh.open(client_config(sinks.places()["zenoh"])) as client:
@@ -100,7 +102,7 @@ def test_zenoh_ros_and_recording_have_the_same_bytes_encoded_once(tmp_path: Path
             with repeating(put, 0.05):  # what is put before a subscription is known goes nowhere
                 for inbox, message in product((native, ros), messages):
                     inbox.wait_for_one(lambda sample, m=message: sample.payload.to_bytes() == m.payload)
-            assert sinks.close() == []
+            assert sinks.close(Deadline()) == []
     payloads = {message.payload for message in messages}
     assert {sample.payload.to_bytes() for sample in native.samples} == payloads
     assert {sample.payload.to_bytes() for sample in ros.samples} == payloads

@@ -1,0 +1,45 @@
+"""SIGTERM while processes of the service stand still."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from service.deadline import HUNG_S
+from tests.processes import alive, look_at
+from tests.system.machine import PATIENCE_S, LiveService, free_port
+
+EXIT_S = 2.0  # of an interpreter on a busy machine
+
+
+def test_the_service_ends_in_time_and_nothing_of_it_lives_on_where_all_its_processes_are_stopped(
+    tmp_path: Path,
+):
+    service = LiveService(
+        tmp_path, {"front": {"type": "sick_lms100", "host": "127.0.0.1", "port": free_port()}}
+    )
+    its: list[int] = []
+    try:
+        process = subprocess.Popen(
+            [Path(sys.executable).parent / "corridor", "run", service.config],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=os.environ | {"NOTIFY_SOCKET": service.systemd.address},
+        )
+        service.systemd.wait_for("READY=1", PATIENCE_S)
+        (mapper,) = (one.pid for one in alive() if one.parent == process.pid)
+        its += [one.pid for one in alive() if one.session == mapper]
+        assert len(its) >= 4  # with a stand-by, and a back end for each
+        for pid in its:
+            os.kill(pid, signal.SIGSTOP)
+        began_s = time.monotonic()
+        process.terminate()
+        _, log = process.communicate(timeout=PATIENCE_S)  # until stdout is closed, too
+        assert time.monotonic() - began_s < HUNG_S + EXIT_S, log
+        assert (process.returncode, [pid for pid in its if look_at(pid)]) == (1, []), log
+    finally:
+        for pid in filter(look_at, its):
+            os.kill(pid, signal.SIGKILL)
+        service.close()
