@@ -280,19 +280,21 @@ class Estimator:
         begin_s3, end_s3 = (max(s, 0.0) ** 3 / 3.0 for s in (beyond_s - self._elapsed_s, beyond_s))  # [8]
         density = self._settings.acceleration**2, self._settings.turn_acceleration**2
         variance_m2 = max(variance_m2 - density[0] * (begin_s3 + end_s3), 0.0)
-        turn_rad2 = max(turn_rad2 - density[1] * (begin_s3 + end_s3), 0.0)
-        turn_rad2 *= max(turn_noise, 1.0)
-        if has_gyro:
+        end_rad2 = density[1] * end_s3
+        if has_gyro:  # it measures the rotation where odometry is extrapolated, too
+            turn_rad2 *= max(turn_noise, 1.0)
             gyro_rad2 *= max(float(self.filter["gyro_noise"]), 1.0)
             share = turn_rad2 / (turn_rad2 + gyro_rad2)
             turn_rad += share * wrap_angle(gyro_rad - turn_rad)
-            turn_rad2 = share * gyro_rad2
+            turn_rad2, end_rad2 = share * gyro_rad2, 0.0
+        else:
+            turn_rad2 = max(turn_rad2 - density[1] * begin_s3 - end_rad2, 0.0) * max(turn_noise, 1.0)
         return OdometryIncrement(
             SE2(x_m, y_m, turn_rad),
             variance_m2 * max(distance_noise, 1.0),
             turn_rad2,
             density[0] * end_s3,
-            0.0 if has_gyro else density[1] * end_s3,
+            end_rad2,
         )
 
     def _deskew(self, beam_time_s: Matrix, xy_raw: Matrix, xy_base: Matrix) -> None:

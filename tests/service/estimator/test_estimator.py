@@ -73,6 +73,24 @@ def test_odometry_slower_than_the_scans_measures_each_step_until_a_sample_is_mis
     assert variance_m2 == pytest.approx(EstimatorConfig().odometry_position_walk ** 2 * way_m, rel=0.1)
 
 
+def test_a_gyro_measures_the_rotation_between_samples_of_odometry() -> None:
+    """Odometry each 300 ms is extrapolated; 1 s straight on, then the vehicle turns at 0.5 rad/s."""
+    model, increments = Estimator(EstimatorConfig()), []
+    for stamp_ms in range(0, 1301, 20):
+        assert model.add(gyro(stamp_ms, 0.5 if stamp_ms > 920 else 0.0))
+        if stamp_ms % 300 == 0:
+            assert model.add(odometry(stamp_ms, SE2(stamp_ms * 1e-3, 0.0, 0.0)))
+        if stamp_ms >= 600:
+            increments.append(model.predict(stamp_ms * MS).increment)
+            model.correct(None)
+    turning = [one for one in increments[-18:] if one is not None]
+    assert len(turning) > 10
+    for increment in turning:
+        assert increment.pose.theta_rad == pytest.approx(0.5 * 0.02, abs=5e-4)
+        assert 0.0 < increment.variance_rad2 < 1e-4
+        assert increment.end_rad2 == 0.0
+
+
 @pytest.mark.parametrize("speed_mps", [1.0, -0.5])
 def test_odom_is_the_base_when_the_first_sweep_began(speed_mps: float) -> None:
     """And not in its middle, of which the first prediction is; the map is laid from there."""
