@@ -160,6 +160,11 @@ def _site_there(out: Path) -> tuple[Site | None, dict[str, LeftOut], int]:
     if not is_map_folder(out):
         return None, {}, 0
     stored = load_map(out)
+    if stored.problems:
+        raise InputError(
+            f"{'; '.join(stored.problems)}; remove the folder of that version to continue from version "
+            f"{stored.number}, and name the sessions again that were added since"
+        )
     members, left_out = read_manifest(out, stored)
     assert stored.graph is not None
     return Site(members, stored.graph, stored.cell_m, stored.geo), left_out, stored.number

@@ -2,6 +2,7 @@
 rendering the scans and parsing the path again.
 """
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from service.errors import InputError
 from service.geometry.poses import Floats
 from service.geometry.se2 import wrap_angle
 from service.mapper.components import RenderedMap
@@ -16,6 +18,8 @@ from service.mapper.maps.occupancy import NO_CELLS
 from service.mapstore.arrays import read_arrays, write_arrays
 from service.offline.score.trajectory import Trajectory
 from service.offline.writing import complete_files
+
+log = logging.getLogger(__name__)
 
 KEPT = "kept"  # below the map of the site
 SAME_M, SAME_RAD = 0.01, 0.001  # a fifth of a cell of 5 cm, and the same 10 m away
@@ -53,10 +57,14 @@ def write_kept(out: Path, name: str, seen: Seen, path: Trajectory) -> None:
 
 
 def read_kept(out: Path, name: str) -> tuple[Seen, Trajectory] | None:
-    """None: a build before this file did not write it. Raises InputError where it is damaged."""
+    """None: it is damaged, with a warning, or a build before this file did not write it."""
     path = out / KEPT / f"{name}.npz"
     if not path.exists():
         return None
-    arrays = read_arrays(path)
+    try:
+        arrays = read_arrays(path)
+    except InputError as error:
+        log.warning("%s: damaged; it is made again", error)
+        return None
     rendered = RenderedMap(arrays["tile_row"], arrays["tile_column"], arrays["evidence"], NO_CELLS)
     return Seen(rendered, arrays["keyframes"]), Trajectory(arrays["stamp_ns"], arrays["pose"])

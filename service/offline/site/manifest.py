@@ -64,7 +64,9 @@ def read_manifest(folder: Path, stored: StoredMap) -> tuple[list[Member], dict[s
     except OSError as error:
         raise InputError(f"{path}: {words_of(error)}") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: no list of a site's sessions: {words_of(error)}") from error
+        raise InputError(
+            f"{path}: no list of a site's sessions: {words_of(error)}; build a new site"
+        ) from error
     return _of_graph(folder, stored.graph, members), left_out
 
 

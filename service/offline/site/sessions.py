@@ -75,6 +75,12 @@ def given_sessions(
             recordings.append(path)
         elif results != [path]:
             passed_over += _passed_over(path, results, out)
+        elif inside := [
+            one.name for one in sorted(path.iterdir()) if one.name != MAP_FOLDER and _is_result(one)
+        ]:
+            passed_over.append(
+                f"{path}: a result, of which {', '.join(inside)} are passed over; name each to add it"
+            )
     for session in group_sessions(recordings) if recordings else []:
         given.append(Given(session_name(session), tuple(session), replayed))
     return _numbered(given, in_site), passed_over

@@ -222,6 +222,16 @@ def test_what_was_drawn_by_hand_outlives_the_next_build_and_a_map_that_lost_key_
     assert len(load_map(grown).graph.by_hand.kind) == 1
 
 
+def test_a_damaged_file_of_a_site_is_made_again_or_refused(grown, drives):
+    (grown / "kept" / "a.npz").write_text("damaged")
+    assert names_in(build([drives / "c"], grown)) == ["a", "b", "c"]
+    (grown / "v000002" / "graph.npz").write_text("damaged")
+    with pytest.raises(InputError, match="remove the folder of that version to continue from version 1"):
+        build([drives / "d"], grown)
+    shutil.rmtree(grown / "v000002")
+    assert names_in(build([drives / "c"], grown)) == ["a", "b", "c"]
+
+
 def test_a_map_that_is_no_site_is_not_built_upon(drives, tmp_path):
     shutil.copytree(drives / "a", tmp_path / "map", symlinks=True)
     with pytest.raises(InputError, match="no site build made"):
@@ -435,9 +445,13 @@ def test_what_a_folder_of_results_has_besides_is_named(drives, tmp_path):
     (tmp_path / "parked").mkdir()
     (tmp_path / "parked" / "summary.json").write_text("{}")
     (tmp_path / "broken_off").mkdir()
+    shutil.copytree(drives / "a", tmp_path / "mixed" / "map", symlinks=True)
+    (tmp_path / "mixed" / "b").symlink_to(drives / "b")
     build([drives / "a"], tmp_path / "site")
     report = build([tmp_path], tmp_path / "site")
     assert (names_in(report), report["added"]) == (["a"], 0)
     assert "stored no map" in report["left_out"]["parked"]
-    assert "1 recording passed over, beside 2 results" in report["warnings"][0]
-    assert "broken_off passed over, beside 2 results: neither map nor" in report["warnings"][1]
+    assert "1 recording passed over, beside 3 results" in report["warnings"][0]
+    assert "broken_off passed over, beside 3 results: neither map nor" in report["warnings"][1]
+    mixed = build([tmp_path / "mixed"], tmp_path / "site")
+    assert "mixed: a result, of which b are passed over; name each" in mixed["warnings"][0]
