@@ -12,6 +12,7 @@ what was found, what was expected and what to do. What a device does wrong stand
 ends the service.
 """
 
+import re
 import signal
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,9 @@ class CorridorError(Exception):
     """Base of everything the service raises on purpose."""
 
     exit_code = 1
+
+    def __init__(self, words: str) -> None:
+        super().__init__(shortened(words))
 
 
 class CalledOffError(CorridorError):
@@ -63,12 +67,17 @@ class ConfigError(CorridorError):
     exit_code = 78
 
     def __init__(self, faults: list[str]) -> None:
-        super().__init__("\n".join(faults))
-        self.faults = faults
+        self.faults = [shortened(fault) for fault in faults]
+        super().__init__("\n".join(self.faults))
 
     def __reduce__(self) -> tuple[type["ConfigError"], tuple[list[str]]]:
         """To come from another process: not made of the joined lines, as other exceptions are."""
         return type(self), (self.faults,)
+
+
+def shortened(message: str) -> str:
+    """With words cut off that are longer than the name of a file may be: what is refused, mostly."""
+    return re.sub(r"\S{256,}", lambda found: f"{found[0][:80]}...", message)
 
 
 def fault_words(error: "ValidationError") -> str:

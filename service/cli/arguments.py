@@ -20,7 +20,7 @@ from service.cli.map_arguments import add_maps
 from service.cli.recordings import add_choice
 from service.cli.security import add_security
 from service.cli.version import ShowVersion
-from service.errors import UsageError
+from service.errors import UsageError, shortened
 
 EPILOG = """exit codes: 0 done, 1 failed, 64 wrong usage, 65 bad input file, 74 I/O error, 78 bad config.
 Results go to stdout, progress and logs to stderr."""
@@ -35,7 +35,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.print_usage(sys.stderr)
-        self.exit(UsageError.exit_code, f"{self.prog}: {message}\n")
+        self.exit(UsageError.exit_code, f"{self.prog}: {shortened(message)}\n")
 
 
 def new_parser() -> Parser:

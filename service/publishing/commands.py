@@ -16,6 +16,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from service.errors import shortened
+
 ANSWER_TIMEOUT_S = 8.0  # a get gives up after 10 s by default: the reason shall arrive before that
 REMEMBER_S = 600.0
 REMEMBER_MOST = 1000
@@ -86,7 +88,7 @@ class Answer:
 
 
 def refusal(error: str, **words: str) -> Answer:
-    return Answer(False, json.dumps({"ok": False, **words, "error": error}).encode())
+    return Answer(False, json.dumps({"ok": False, **words, "error": shortened(error)}).encode())
 
 
 @dataclass(frozen=True, slots=True)
