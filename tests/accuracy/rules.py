@@ -104,6 +104,16 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         "service.estimator.standstill.Standstill",
         {"is_uninformative": lambda *_: False},
     ),
+    (
+        "what odometry reports late is driven ([30])",
+        "service.estimator.standstill.Standstill",
+        {"hidden_motion": lambda *_: None},
+    ),
+    (
+        "odometry may be wrong where the map contradicts a scan near its prediction ([37])",
+        f"{METHOD}.surfel_gauss_newton",
+        {"WRONG_MOTION": 0.0},
+    ),
     ("deskew", "service.estimator.estimator", {"deskew_sweep": not_deskewed}),
     ("weight by static score", DYNAMIC_FILTER, {"MIN_NEW_WEIGHT": 1.0}),
     ("refusal of points in free space", DYNAMIC_FILTER, {"FREE_S": 0.0}),
