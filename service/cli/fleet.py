@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from service.cli.argument_types import map_and_version, positive
 from service.cli.console import print_result, progress
-from service.errors import CorridorError
+from service.errors import CorridorError, StorageError, words_of
 from service.log_format import printable
 
 if TYPE_CHECKING:  # they take long to import
@@ -159,7 +159,13 @@ def _pull(parsed: argparse.Namespace, session: "zenoh.Session") -> int:
 
             if (why := namesakes(here.get(vehicle, ()))) is not None:
                 raise why
-            return pull(session, vehicle, parsed.out, limit, come)
+            try:
+                return pull(session, vehicle, parsed.out, limit, come)
+            except OSError as error:
+                where = parsed.out / vehicle
+                raise StorageError(
+                    f"cannot write to {where}: {words_of(error)}; what is there stays"
+                ) from error
 
         results = for_each(parsed.vehicles or list(here), fetch)
     if not results:

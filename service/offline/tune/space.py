@@ -61,12 +61,9 @@ def parameters_of(mapping: MappingConfig, wanted: Sequence[str]) -> list[Paramet
         name, _, span = words.partition("=")
         fitting = [one for one in numbers if one == name or one.endswith(f".{name}")]
         if len(fitting) != 1:
-            hint = (
-                " or ".join(fitting)
-                if fitting
-                else suggest(name, [*numbers, *(one.rpartition(".")[2] for one in numbers)])
-            )
-            raise UsageError(f"--parameter {name}: {'which one' if fitting else 'not there'}? {hint}")
+            ends = sorted({one.rpartition(".")[2] for one in numbers})
+            hint = " or ".join(fitting) or suggest(name.rpartition(".")[2], ends)
+            raise UsageError(f"--parameter {name}: {'which one? ' if fitting else 'unknown; '}{hint}")
         parameter = numbers[fitting[0]]
         found[parameter.name] = _between(parameter, span) if span else parameter
     return list(found.values())

@@ -115,3 +115,15 @@ def test_the_command_says_what_it_fetched_and_asks_a_vehicle_that_is_named_twice
     fetched = json.loads(capsys.readouterr().out)["vehicles"]["veh1"]
     assert (fetched["fetched"], fetched["bytes"]) == (sorted(SIZES), sum(SIZES.values()))
     assert code_of([*command[:2], "veh7", *command[4:]]) == 74
+
+
+def test_a_disk_that_refuses_keeps_no_other_vehicle_back(
+    vehicle, endpoint, start_vehicle, recordings, site_file, tmp_path, capsys
+):
+    start_vehicle(endpoint, "veh2", folders={"recording": recordings})
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "veh1").touch()
+    assert code_of(["fleet", "pull", "--site", site_file, "--out", str(tmp_path / "out"), "--json"]) == 74
+    report = json.loads(capsys.readouterr().out)["vehicles"]
+    assert report["veh1"]["error"].startswith(f"cannot write to {tmp_path / 'out' / 'veh1'}: File exists")
+    assert report["veh2"]["fetched"] == sorted(SIZES)

@@ -50,6 +50,7 @@ def test_a_parameter_is_named_by_its_end_and_searched_about_its_present_value():
     [
         ("wall_sigma", "wall_sigma_m"),
         ("keyframe_distance_m", "local_map.keyframe_distance_m or graph.keyframe_distance_m"),
+        ("no_such", r"unknown; known here: (\w+, )+\w+$"),
         ("wall_sigma_m=1", "expected LOW:HIGH"),
         ("wall_sigma_m=2:1", "expected LOW:HIGH"),
         ("wall_sigma_m=-1:1", "expected LOW:HIGH"),
