@@ -19,6 +19,7 @@ from service.publishing.uplink import PRESENCES, Presence, open_client, presence
 
 LOCAL = "tcp/127.0.0.1:7447"
 ANSWER_S = 5.0  # a vehicle has so long to answer
+MAX_AGE_S = 60.0  # of a health message; a vehicle sends one a second
 FAULTS = {ERROR: "error", WARNING: "warning"}
 
 
@@ -56,8 +57,9 @@ class Vehicle:
 
     @property
     def is_well(self) -> bool:
-        """It answers, its name is its own, and it maps."""
-        return self.state not in ("silent", "lost", "stale") and len(self.sessions) < 2
+        """It answers with a health message of now, its name is its own, and it maps."""
+        is_now = self.age_s is None or abs(self.age_s) <= MAX_AGE_S
+        return is_now and self.state not in ("silent", "lost", "stale") and len(self.sessions) < 2
 
     def as_dict(self) -> dict[str, Any]:
         return {**asdict(self), "is_well": self.is_well}
@@ -112,7 +114,11 @@ def vehicle_of(
     if health is not None:
         try:
             statuses = decode_diagnostics(health.payload.to_bytes())
-            age_s = round(max(time.time() - _source_ns(health) / 1e9, 0.0), 2)
+            age_s = round(time.time() - _source_ns(health) / 1e9, 2)
+            if abs(age_s) > MAX_AGE_S:
+                faults = (
+                    "error clock: health message of another time; is its clock right, or does it hang?",
+                )
         except (InputError, ValueError) as error:
             statuses, faults = [], (f"health cannot be read: {error}",)
         rows = {status.name: status for status in statuses}

@@ -49,7 +49,9 @@ def open_client(config: PublishingConfig, further: Mapping[str, object] = {}) ->
         return zenoh.open(zenoh_config(settings))
     except zenoh.ZError as error:
         reason = str(error).partition(" at /")[0]
-        raise StorageError(f"no router at {', '.join(config.connect)}: {reason}") from error
+        is_tls = any(one.startswith("tls/") for one in config.connect)
+        hint = "is it running" + (", and are the certificates of both of one authority?" if is_tls else "?")
+        raise StorageError(f"no router at {', '.join(config.connect)}: {hint} ({reason})") from error
 
 
 def open_uplink(config: PublishingConfig) -> zenoh.Session:

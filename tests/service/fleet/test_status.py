@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,9 +21,13 @@ from service.fleet import vehicles as vehicles_module
 from service.fleet.router import zenohd_config
 from service.fleet.vehicles import Vehicle, read_vehicles
 from service.fleet.watch import Watch
+from service.publishing.config import PublishingConfig
+from service.publishing.uplink import open_client as open_client_of
 from tests.service.cli.test_commands import code_of
 from tests.service.fleet.conftest import diagnostics, router_config
+from tests.service.publishing.conftest import tls
 from tests.service.test_encoding_outputs import OUTPUT
+from tests.system.machine import free_port
 from tests.waiting import wait_until
 
 
@@ -31,9 +36,9 @@ def vehicles_at(capsys, site_file, *names: str) -> tuple[int, dict[str, dict]]:
     return code, {one["name"]: one for one in json.loads(capsys.readouterr().out)["vehicles"]}
 
 
-def put_health(sink, client, vehicle: str = "veh1") -> None:
+def put_health(sink, client, vehicle: str = "veh1", clock_off_s: int = 0) -> None:
     """And wait until it is the answer to a get."""
-    sink.put(diagnostics())
+    sink.put(diagnostics(stamp_ns=time.time_ns() + clock_off_s * 1_000_000_000))
     wait_until(lambda: list(client.get(f"corridor/v1/{vehicle}/health", timeout=20.0)))
 
 
@@ -55,6 +60,23 @@ def test_status_lists_each_vehicle_with_what_it_says_of_itself(
     assert len(veh1["sessions"]) == 1
     assert code_of(["fleet", "status", "--site", site_file]) == 0
     assert "veh1: ok | x " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("off_s", "is_well"), [(-86_400, False), (0, True), (86_400, False)])
+def test_a_vehicle_whose_clock_is_a_day_off_is_not_well(
+    off_s, is_well, endpoint, router, start_vehicle, open_client
+):
+    put_health(start_vehicle(endpoint), open_client(endpoint), clock_off_s=off_s)
+    (vehicle,) = read_vehicles(open_client(endpoint))
+    assert vehicle.is_well is is_well
+    assert vehicle.age_s == pytest.approx(-off_s, abs=30.0)
+    assert any("is its clock right" in one for one in vehicle.faults) is not is_well
+
+
+def test_a_router_that_does_not_answer_is_told_with_what_to_look_at(site):
+    tls_only = {"connect": (f"tls/127.0.0.1:{free_port()}",), "security": {"tls": tls(site, "viewer")}}
+    with pytest.raises(StorageError, match="is it running, and are the certificates of both of one"):
+        open_client_of(PublishingConfig.model_validate(tls_only))
 
 
 def test_what_is_no_health_message_is_a_fault_of_its_vehicle(endpoint, router, open_client):
