@@ -27,11 +27,14 @@ MAKE = "corridor security init makes and renews them, see docs/security.md"
 def look_at_certificates(machine: Machine, config: ServiceConfig) -> list[Finding]:
     """Nothing where the config names no file of them."""
     found: list[Finding] = []
-    if (security := config.sinks["publishing"].secured) is not None:
+    publishing = config.sinks["publishing"]
+    if (security := publishing.secured) is not None:
         if security.users is not None:
             found += _users(machine, security, security.users)
         if security.tls is not None:
-            found += _site(machine, security, security.tls)
+            in_fleet = config.vehicle if publishing.fleet.connect else None
+            is_own_router = in_fleet is None or not all(map(is_local, publishing.listen))
+            found += _site(machine, security, security.tls, in_fleet, is_own_router)
     web = config.sinks["web"]
     if web.enabled and web.tls_certificate is not None:
         found += _pair(machine, "web", web.tls_certificate, web.tls_key)[0]
@@ -41,7 +44,12 @@ def look_at_certificates(machine: Machine, config: ServiceConfig) -> list[Findin
     return found
 
 
-def _site(machine: Machine, security: SecurityConfig, tls: TlsConfig) -> Iterator[Finding]:
+def _site(
+    machine: Machine, security: SecurityConfig, tls: TlsConfig, in_fleet: str | None, is_own_router: bool
+) -> Iterator[Finding]:
+    """in_fleet   name of the vehicle, where it connects to a router of the fleet
+    is_own_router   the roles are used: by clients of this machine's own router
+    """
     findings, certificate = _pair(machine, "zenoh", tls.certificate, tls.key)
     yield from findings
     try:
@@ -66,7 +74,14 @@ def _site(machine: Machine, security: SecurityConfig, tls: TlsConfig) -> Iterato
             "bring both files from one folder of corridor security init",
         )
     name = common_name(certificate)
-    if name not in security.roles.names:
+    if in_fleet not in (None, name):
+        yield fault(
+            "fleet",
+            f"{tls.certificate} is of {name!r}, the vehicle is called {in_fleet!r}",
+            "one name: the router drops what the vehicle publishes by another one",
+            f"write vehicle: {name}, or take the certificate of {in_fleet}",
+        )
+    if is_own_router and name not in security.roles.names:
         yield fault(
             "zenoh",
             f"the name {name!r} of {tls.certificate} has no role",

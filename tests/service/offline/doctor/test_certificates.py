@@ -112,6 +112,14 @@ def test_a_name_without_a_role_is_a_fault(tree, site):
     assert found.remedy.startswith("write roles: {vehicle: [veh1], ...}")
 
 
+def test_a_vehicle_of_a_fleet_needs_a_certificate_of_its_name_and_no_role_of_its_own(tree, site):
+    tls = f"tls: {{ca: {PLACE}/ca.pem, certificate: {PLACE}/%s.pem, key: {PLACE}/%s.key}}"
+    fleet = "}, fleet: {connect: [tls/site.example:7448]"
+    assert faults(tree, config(tls % ("veh1", "veh1") + fleet)) == []
+    (found,) = faults(tree, config(tls % ("viewer", "viewer") + fleet))
+    assert found.measured == f"{PLACE}/viewer.pem is of 'viewer', the vehicle is called 'veh1'"
+
+
 def test_users_and_roles_are_compared(tree):
     path = tree.write(f"{PLACE}/users", "viewer:a\nguest:b\nbroken\n")
     path.chmod(0o600)
