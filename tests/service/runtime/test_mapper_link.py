@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
-from service.deadline import Deadline
+from service.deadline import SAVE_S, Deadline
 from service.encoding import decode_pose, encode_frame
 from service.geometry.se2 import SE2
 from service.runtime import mapper_link, standstill
@@ -416,11 +416,11 @@ def test_everything_ends_with_the_link(drive: Drive, is_stopped: bool):
     pids = [one.pid for one in alive() if one.session == drive.link.pid]
     assert len(pids) >= 4  # mapper and stand-by, each with a back end
     folder = folder_of(drive.link)
-    if is_stopped:
-        for pid in pids:
-            os.kill(pid, signal.SIGSTOP)
-    else:
-        assert drive.link.finish(Deadline())
+    for pid in pids if is_stopped else []:
+        os.kill(pid, signal.SIGSTOP)
+    deadline = Deadline()
+    assert drive.link.finish(deadline) is not is_stopped
+    assert (deadline.left_s <= SAVE_S) is is_stopped  # else it would be most of a minute
     drive.stop()
     for pid in pids:
         drive.until(lambda pid=pid: not is_there(pid))

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import pytest
 
+from service import deadline
 from service.deadline import Deadline
 from service.encoding import ERROR, OK, Message, Status
 from service.errors import StorageError
@@ -140,10 +141,12 @@ def test_what_is_lost_while_closing_is_reported_and_other_faults_cost_nothing():
 
 
 @pytest.mark.parametrize("action", ["flush", "close"])
+@pytest.mark.parametrize(("stall_s", "deadline_s"), [(0.2, 60.0), (60.0, 0.2)])
 def test_a_sink_that_hangs_at_the_end_is_left_behind_and_holds_up_no_other(
-    action: str, monkeypatch: pytest.MonkeyPatch
+    action: str, stall_s: float, deadline_s: float, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(fan_out, "STALL_S", 0.2)
+    monkeypatch.setattr(fan_out, "STALL_S", stall_s)
+    monkeypatch.setattr(deadline, "WORKING_S", deadline_s)
     hangs, well = ListSink("hangs"), ListSink("well")
     hangs.may_end.clear()
     sinks = Sinks([hangs, well])
