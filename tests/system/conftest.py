@@ -1,4 +1,4 @@
-"""Machines that are always switched off again."""
+"""Fixtures that end their processes."""
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -27,7 +27,7 @@ def corridor(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def demo_run(corridor: Path, tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
-    """One demo, of the installed command, for all who look at what is left of it."""
+    """One demo of the installed command, whose files several tests read."""
     folder = tmp_path_factory.mktemp("demo")
     return run_demo(DEMO_S, folder, program=corridor, environment=environment())
 

@@ -63,18 +63,18 @@ def install(wheel: Path, folder: Path) -> Path:
 
 
 def first_commands() -> list[str]:
-    """What README tells a newcomer to type, from a wheel to a map for nav2; without comments."""
+    """README's first commands, from a wheel to a map for nav2; without comments."""
     block = next(one for one in blocks_of(ROOT / "README.md") if "pipx install" in one.text)
     return [line.partition(" #")[0].strip() for line in block.text.splitlines()]
 
 
 def environment() -> dict[str, str]:
-    """Of a process that knows nothing of the tree."""
+    """Of a process without the tree in its paths."""
     return {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
 
 
 def run(command: list[str], folder: Path) -> str:
-    """stdout, of a process that knows nothing of the tree."""
+    """stdout of a process without the tree in its paths."""
     done = subprocess.run(
         command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=TIMEOUT_S, check=False
     )

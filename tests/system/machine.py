@@ -1,4 +1,4 @@
-"""The parts of a whole machine as a test wants them: fake devices, a service, a subscriber."""
+"""Parts of end-to-end tests: fake devices, a service, a subscriber."""
 
 import json
 import os
@@ -22,7 +22,7 @@ from tests.in_background import started
 
 START_TIMEOUT_S = 90.0  # a cold kernel cache is compiled first
 STOP_TIMEOUT_S = 30.0
-PATIENCE_S = 60.0  # with what takes a second or ten where the processor is ours alone
+PATIENCE_S = 60.0  # for events that take 1 to 10 s on an idle machine
 VEHICLE = "veh1"
 
 
@@ -181,7 +181,7 @@ class LiveService:
 
 
 class Subscriber:
-    """A Zenoh client that keeps what it hears, by channel, with the moment it heard it.
+    """A Zenoh client that keeps the samples received, by channel, with the time of arrival.
 
     settings    further ones of its session, by path
     """
@@ -209,7 +209,7 @@ class Subscriber:
             return len(self.heard.get(channel, []))
 
     def wait_until(self, what: Callable[[], bool], timeout_s: float = PATIENCE_S) -> None:
-        """`what` is asked whenever something was heard. Raises AssertionError with what was heard."""
+        """Evaluates `what` after each sample. Raises AssertionError with the samples received."""
         with self._changed:
             heard = self._changed.wait_for(what, timeout_s)
             assert heard, f"after {timeout_s} s heard { {k: len(v) for k, v in self.heard.items()} }"

@@ -1,4 +1,4 @@
-"""Devices that fail in every way: the service stays, the devices come back, the session replays."""
+"""Devices with each kind of fault: the service goes on, the devices reconnect, the session replays."""
 
 import signal
 import time
@@ -18,7 +18,7 @@ from tests.system.machine import FakeVehicle, LiveService, Subscriber
 
 FAULTS = Path(__file__).with_name("faults.yaml")
 SECONDS = 13.0
-CALM_S = 2.0  # at the end of the run: no fault any more
+CALM_S = 2.0  # at the end of the run, without a fault
 
 
 def test_a_drive_with_faults_stays_up_and_its_session_replays(

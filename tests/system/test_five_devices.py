@@ -1,4 +1,4 @@
-"""All five kinds of device at once, through the whole machine: as `corridor demo` has them.
+"""All five kinds of device at once, end to end, as in `corridor demo`.
 
 On a machine with little time to spare a fake device leaves turns out, and the queue drops scans. Both are
 counted, and no more than that may be missing. Where the machine is in time, streams are without a hole.
@@ -34,8 +34,8 @@ RATES_HZ = {
 CHANNELS = {"front": "scan", "rear": "scan", "lux": "scan", "imu": "imu", "base": "odom"}
 COUNTED_AS_LOST = ("missed", "lost", "gap", "dropped", "discarded", "bad", "unreadable", "resync")
 MEASURED = ("scans", "samples", "frames")  # as counters call it
-NUMBERED = ("front", "rear", "lux", "imu")  # on the wire; what a base missed is an estimate from arrivals
-LOST_M = 5.0  # or more, where the map has nothing to do with the world any more
+NUMBERED = ("front", "rear", "lux", "imu")  # on the wire; losses of a base are estimated from arrivals
+LOST_M = 5.0  # or more, where the map is wrong
 SOAK_S = int(os.environ.get("CORRIDOR_SOAK_S", "3600"))
 WINDOWS, SETTLED = 12, 2  # that the hour is divided into; the first ones are the map's, whose laps are new
 GROWTH = 1.03  # at most, over the first settled window
@@ -108,7 +108,7 @@ def test_another_reader_finds_what_the_layout_for_foxglove_shows_in_the_recordin
 @pytest.mark.soak
 @pytest.mark.timeout(SOAK_S + 300)
 def test_an_hour_of_five_devices_loses_nothing_and_no_process_takes_more_memory(tmp_path: Path):
-    """Beside whatever else runs here."""
+
     looks: list[dict[str, float]] = []
     try:
         run = run_demo(SOAK_S, tmp_path, lambda process: looks.append(_resident_mb(process)))
@@ -218,8 +218,8 @@ def _check_times(frames: list[Frame], rate_hz: float) -> None:
 
 
 def _losses(facts: dict[str, dict[str, Any]]) -> dict[str, int]:
-    """What the parts counted as lost, by sensor or part; scans too old to be mapped aside, and what had to
-    make room on its way to subscribers, of whom there are none.
+    """What the parts counted as lost, by sensor or part; without scans too old to be mapped and messages
+    dropped for subscribers, of which there are none.
     """
     losses: dict[str, int] = {}
     for part, values in facts.items():

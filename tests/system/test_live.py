@@ -1,6 +1,6 @@
 """Fake devices, service, Zenoh, ROS 2, the page and MCAP, each its own process: one whole drive.
 
-Strangers try something of each kind meanwhile. All that they may try is in
+Clients without a role try something of each kind meanwhile. All such attempts are in
 tests/service/publishing/test_security.py and tests/service/web/test_guards.py.
 """
 
@@ -93,7 +93,7 @@ def service(fake_vehicle: FakeVehicle, site: Path, remote: str, tmp_path: Path) 
 def test_a_whole_drive(service: LiveService, site: Path, remote: str, subscribe: Subscribe):
     subscriber = subscribe(service.endpoint)
     _wait_for_the_drive(service, subscriber)
-    _check_strangers_are_refused(service, subscriber, site, remote, subscribe)
+    _check_clients_without_a_role_are_refused(service, subscriber, site, remote, subscribe)
 
     marked = subscriber.ask("mark", text="begin", id="1")
     assert subscriber.ask("mark", text="begin", id="1") == marked
@@ -127,7 +127,7 @@ def test_a_whole_drive(service: LiveService, site: Path, remote: str, subscribe:
     subscriber.wait_for("pose", 50)
     words = len(service.systemd.words)
     service.signal(signal.SIGTERM)
-    service.signal(signal.SIGINT)  # the second must not spoil what the first began
+    service.signal(signal.SIGINT)  # the second must not stop what the first began
     service.systemd.wait_for("STOPPING=1", after=words)
     assert service.wait() == 0, service.log
 
@@ -161,7 +161,7 @@ def _wait_for_the_drive(service: LiveService, subscriber: Subscriber) -> None:
     assert seen["sensor/front"].values["state"] == seen["sensor/base"].values["state"] == "streaming"
     assert {"mapping", "map", "recording", "zenoh", "ros2", "web", "clock"} <= seen.keys()
     service.systemd.wait_for("WATCHDOG=1")
-    states = "ok", "overloaded"  # as it stays for 10 s after a scan that a busy machine passed over
+    states = "ok", "overloaded"  # for 10 s after a scan that was dropped under load
     service.systemd.wait_for(tuple(f"STATUS=mapping {state}, 2/2 sensors, " for state in states))
     with urlopen(seen["web"].values["address"], timeout=PATIENCE_S) as page:
         assert b"<title>" in page.read()
@@ -178,25 +178,27 @@ def _state(subscriber: Subscriber) -> str:
     return str(rows(subscriber)["mapping"].values.get("state", ""))
 
 
-def _check_strangers_are_refused(
-    service: LiveService, honest: Subscriber, site: Path, remote: str, subscribe: Subscribe
+def _check_clients_without_a_role_are_refused(
+    service: LiveService, operator: Subscriber, site: Path, remote: str, subscribe: Subscribe
 ) -> None:
     watching, lost = subscribe(remote, shown(site, "hall")), subscribe(remote, shown(site, "lost"))
-    viewer = subscribe(remote, shown(site, "hall")).session  # hears itself, so another one watches
+    viewer = subscribe(
+        remote, shown(site, "hall")
+    ).session  # receives its own messages, so another one watches
     tried = {name: attempt() for name, attempt in attempts(remote, site, viewer, lost.session).items()}
     assert [name for name, was_refused in tried.items() if not was_refused] == []
-    assert not asyncio.run(command_by_wrong_token(rows(honest)["web"].values["address"]))["ok"]
+    assert not asyncio.run(command_by_wrong_token(rows(operator)["web"].values["address"]))["ok"]
 
     assert nothing_comes(viewer, f"{ROOT}/nothing")
     assert [reply.ok for reply in viewer.get(f"{ROOT}/health", timeout=PATIENCE_S)]
-    honest.wait_for("pose", 10)
-    honest.wait_for("health", 2)
-    seen = rows(honest)
+    operator.wait_for("pose", 10)
+    operator.wait_for("health", 2)
+    seen = rows(operator)
     for name in ("zenoh", "ros2", "web", "recording", "map", "commands"):  # others depend on the processor
         assert seen[name].level == 0, seen[name]
     assert seen["commands"].values.get("refused", "0") == "0"
     wait_until(lambda: watching.count("pose") > 0)
-    for subscriber in (honest, watching):
+    for subscriber in (operator, watching):
         assert FAKE not in [payload for heard in subscriber.heard.values() for _, payload in heard]
     wait_until(lambda: f"{ROOT}/alive/mapping" in alive(watching))  # not while scans are late
     assert f"{ROOT}/alive/thief" not in alive(watching)
@@ -229,12 +231,12 @@ def cannot_connect(endpoint: str, site: Path, name: str) -> bool:
     return False
 
 
-def is_cut_off(endpoint: str, sent: bytes) -> bool:
+def is_disconnected(endpoint: str, sent: bytes) -> bool:
     host, port = endpoint.partition("/")[2].split(":")
-    with socket.create_connection((host, int(port)), PATIENCE_S) as stranger:
-        stranger.sendall(sent)
+    with socket.create_connection((host, int(port)), PATIENCE_S) as client:
+        client.sendall(sent)
         with suppress(ConnectionError):
-            while stranger.recv(4096):
+            while client.recv(4096):
                 pass
     return True
 
@@ -245,7 +247,7 @@ def attempts(
     """lost: with a name that has no role any more."""
 
     def answer() -> bool:
-        replying = daemon_callback(lambda query: query.reply(f"{ROOT}/map", FAKE), "stranger")
+        replying = daemon_callback(lambda query: query.reply(f"{ROOT}/map", FAKE), "fake")
         viewer.declare_queryable(f"{ROOT}/map", replying, complete=True)
         return True
 
@@ -261,7 +263,7 @@ def attempts(
         "be alive": lambda: viewer.liveliness().declare_token(f"{ROOT}/alive/thief") is not None,
         "read without a role": partial(nothing_comes, lost, f"{ROOT}/health"),
         "connect by another authority": partial(cannot_connect, endpoint, site.parent / "other", "hall"),
-        "speak no TLS": partial(is_cut_off, endpoint, b"GET / HTTP/1.1\r\n\r\n" + bytes(1000)),
+        "speak no TLS": partial(is_disconnected, endpoint, b"GET / HTTP/1.1\r\n\r\n" + bytes(1000)),
     }
 
 
@@ -290,7 +292,7 @@ def _check_ros2(endpoint: str, subscriber: Subscriber) -> None:
 
 
 def _check_the_old_map_is_gone(late: Subscriber, before: list[Any]) -> dict[str, int]:
-    """For who joins after the reset: each tile is of the new map, or all unknown, and newer in any case.
+    """For a client that joins after the reset each tile is of the new map, or all unknown, and newer.
 
     Versions by channel.
     """
@@ -367,7 +369,7 @@ def _check_a_session_of_its_own(session: Path) -> None:
     assert counts["/tf_static"] == 1
     assert "sick_lms100" in recording.metadata["config"]["yaml"]
     first, static = (next(iter(recording.messages(topics))) for topics in (None, ["/tf_static"]))
-    # A pose that was on its way when the recording began has an earlier log time.
+    # A pose in transit when the recording began has an earlier log time.
     assert static.log_ns - first.log_ns < 100_000_000
     replayed = replay([session], ReplayOptions())
     too_old = sum(event["event"] == "scan_passed_over" for event in events_of(session))

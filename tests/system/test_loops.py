@@ -42,16 +42,16 @@ def frames(scans: int) -> Iterator[Frame]:
     """1.4 rounds at 1.5 m/s; wheels that turn a little too far."""
     noise = np.random.default_rng(1)
     angle = FIRST_RAD + STEP_RAD * np.arange(BEAMS)
-    believed, before = SE2(), round_the_ring(0.0)
+    odometry, before = SE2(), round_the_ring(0.0)
     for k in range(scans):
         pose = round_the_ring(k * SPACING_M)
         step, before = before.inverse() @ pose, pose
-        believed = believed @ SE2(step.x_m, step.y_m, step.theta_rad * 1.02)
+        odometry = odometry @ SE2(step.x_m, step.y_m, step.theta_rad * 1.02)
         stamp_ns = 10**9 + k * PERIOD_NS
-        wheels = (believed.x_m, believed.y_m, believed.theta_rad)
+        wheels = (odometry.x_m, odometry.y_m, odometry.theta_rad)
         yield OdometrySample("base", stamp_ns, stamp_ns, *wheels, (1.5, 0.0, 0.0), (0.0,) * 9)
-        ways = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
-        range_m = cast(RING, np.tile([pose.x_m, pose.y_m], (BEAMS, 1)), ways)
+        directions = np.column_stack((np.cos(angle + pose.theta_rad), np.sin(angle + pose.theta_rad)))
+        range_m = cast(RING, np.tile([pose.x_m, pose.y_m], (BEAMS, 1)), directions)
         range_m = (range_m + 0.005 * noise.standard_normal(BEAMS)).astype(np.float32)
         times = (stamp_ns, stamp_ns + 1, 0, PERIOD_NS)
         yield LaserScan("front", *times, FIRST_RAD, STEP_RAD, 0.05, 30.0, range_m, NO_INTENSITY)
@@ -60,7 +60,7 @@ def frames(scans: int) -> Iterator[Frame]:
 class Live:
     """Intake and mapper of a service over the drive, with its recorder and its back end's process.
 
-    Now and then a frame comes only when the back end is done, so that answers come at odd places.
+    Some frames arrive only when the back end is done, so that its answers arrive at varying times.
     """
 
     def __init__(self, folder: Path, scans: int) -> None:
@@ -114,7 +114,7 @@ def test_a_drive_whose_loops_closed_while_driving_replays_to_the_last_bit(tmp_pa
     assert [event["event"] for event in events_of(live.session)].count("apply_result") > 20
     done = replay([live.session], ReplayOptions())
     assert [encode_pose(output, 0).payload for output in done.outputs] == live.poses
-    assert jumps(done) >= 1  # a correction came in on the way
+    assert jumps(done) >= 1  # a correction arrived during the drive
     odom = [output.pose_odom_base for output in done.outputs]
     steps_m = [math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) for a, b in pairwise(odom)]
     assert max(steps_m) < 2.0 * SPACING_M

@@ -55,7 +55,7 @@ def test_the_unit_has_what_the_service_relies_on(line: str):
 
 
 def test_no_command_runs_before_the_service():
-    """Its exit status would not be held against RestartPreventExitStatus=."""
+    """Its exit status would not be compared with RestartPreventExitStatus=."""
     assert "\nExecStartPre=" not in UNIT.read_text()
 
 

@@ -32,9 +32,9 @@ def test_the_wheel_holds_every_file_of_the_packages(wheel: Path):
         if name not in links and (ROOT / name).exists()
     }
     with zipfile.ZipFile(wheel) as archive:
-        held = set(archive.namelist())
+        packed = set(archive.namelist())
     assert len(expected) > 250
-    assert expected - held == set()
+    assert expected - packed == set()
 
 
 def test_it_runs_from_anywhere(corridor: Path, tmp_path: Path):
