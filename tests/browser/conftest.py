@@ -35,7 +35,7 @@ from tests.service.web.conftest import (
 
 ROOT = Path(__file__).parents[2]
 AXE = Path(os.environ.get("CORRIDOR_AXE", ROOT / "build/node_modules/axe-core/axe.min.js"))
-LOOK_S = 0.05  # from one look at the page to the next; the browser tells nobody of what changes
+LOOK_S = 0.05  # between two looks at the page; the browser has no event for a change
 HEADLESS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage")  # and for root
 ARGUMENTS = (  # nothing of its own on the network
     *(*HEADLESS, "--no-first-run"),
@@ -49,7 +49,7 @@ WIDE_CARDS = "[...document.querySelectorAll('.card')].filter((c) => c.scrollWidt
 
 
 class Page:
-    """The page in a browser, and what one does with it."""
+    """The page in a browser, and its operation."""
 
     def __init__(self, driver: webdriver.Chrome) -> None:
         self.driver = driver
@@ -105,7 +105,7 @@ class Page:
         return int(self.run("return window.presses"))
 
     def pointer(self) -> ActionChains:
-        """Moves at once; selenium's own quarter of a second sends and draws a dozen places on the way."""
+        """Moves at once; selenium's own quarter of a second sends and renders a dozen places between."""
         return ActionChains(self.driver, duration=0)
 
     def texts(self, selector: str) -> list[str]:
@@ -137,7 +137,7 @@ class Page:
         )
 
     def redraw(self) -> None:
-        """Have the map drawn again, and wait for that."""
+        """Render the map again, and wait for that."""
         before = self.run("corridor.view.invalidate(); return corridor.view.frames")
         self.wait_for("return corridor.view.frames > arguments[0]", before)
 
@@ -145,7 +145,7 @@ class Page:
         self.element(f"tab-{area}").click()
 
     def look_at(self, x_m: float, y_m: float, pixels_per_m: float) -> None:
-        """Bring a point of the map to the middle, and wait until it is drawn."""
+        """Bring a point of the map to the middle, and wait until it is rendered."""
         self.run(
             "const v = corridor.view; v.follow(false); v.camera.centreOn(arguments[0], arguments[1]);"
             "v.camera.scale = arguments[2]; window.frameBefore = v.frames; v.invalidate()",
@@ -154,7 +154,7 @@ class Page:
         self.wait_for("return corridor.view.frames > window.frameBefore")
 
     def pixel(self, x_m: float, y_m: float) -> list[int]:
-        """Red, green, blue where a point of the map is drawn."""
+        """Red, green, blue at a point of the map."""
         return list(
             self.run(
                 "const v = corridor.view, [x, y] = v.camera.toScreen(arguments[0], arguments[1]);"
@@ -165,19 +165,19 @@ class Page:
         )
 
     def thread_s(self) -> float:
-        """Processor time of the thread that runs and draws the page: other programs hardly change it."""
+        """Processor time of the thread that runs and renders the page: other programs hardly change it."""
         self.driver.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
         metrics = self.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
         return float(next(metric["value"] for metric in metrics if metric["name"] == "ThreadTime"))
 
     def leave(self) -> None:
-        """For a browser that remembers nothing of the page."""
+        """Clears what the browser stored of the page."""
         self.run("try { sessionStorage.clear(); localStorage.clear(); } catch { /* no page was opened */ }")
         self.driver.get("about:blank")
         self.driver.get_log("browser")
 
     def faults(self) -> list[str]:
-        """What the browser complained of."""
+        """Errors and warnings of the browser."""
         return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
 
     def resize(self, size: tuple[int, int], is_dark: bool = False) -> None:
@@ -219,7 +219,7 @@ def page(chromium: webdriver.Chrome) -> Iterator[Page]:
 def share(request: pytest.FixtureRequest, chromium: webdriver.Chrome) -> Iterator[Callable[..., Page]]:
     """Opens a page, or goes on with it where the test before has shared it; half a second of processor less.
 
-    Whoever shares one brings it to where its test begins, and leaves nothing there that others would see.
+    A test that shares one sets it up at its begin, and leaves nothing that others would see.
     """
     failed_before = request.session.testsfailed
     shared = Page(chromium)

@@ -229,7 +229,7 @@ def take_pairs(page: Page, bent: BentMap, k: int) -> None:
 def take_panes(page: Page, bent: BentMap) -> None:
     """A corner of the ring, seen in both rounds."""
     k, corner = 38, np.array([LENGTH_M + HALF_M, -HALF_M])
-    drawn = corner_of_second_round(bent, k, corner)
+    corner_2 = corner_of_second_round(bent, k, corner)
     choose_places(page, k)
     page.element("side-by-side").click()
     page.look_at(corner[0] - 1.2, corner[1] + 1.0, 90.0)
@@ -238,10 +238,10 @@ def take_panes(page: Page, bent: BentMap) -> None:
         "pane.camera.centreOn(arguments[0], arguments[1]); corridor.edit.tool.click("
         "corridor.view.camera.toScreen(arguments[2], arguments[3])); pane.gestures.onHover("
         "pane.camera.toScreen(arguments[4], arguments[5]))",
-        drawn[0] - 1.2,
-        drawn[1] + 1.0,
+        corner_2[0] - 1.2,
+        corner_2[1] + 1.0,
         *corner.tolist(),
-        *drawn.tolist(),
+        *corner_2.tolist(),
     )
     save_picture(page, "edit-panes")
     page.element("forget-places").click()

@@ -14,8 +14,8 @@ FAR_AWAY = AT + np.array([2.0, 2.0])
 
 def wall(angle_rad, from_m=0.05, to_m=0.5, step_m=0.03):
     """Points of a wall that leads away from AT, beginning from_m from it."""
-    way = np.arange(from_m, to_m, step_m)[:, None]
-    return AT + way * np.array([math.cos(angle_rad), math.sin(angle_rad)])
+    distance_m = np.arange(from_m, to_m, step_m)[:, None]
+    return AT + distance_m * np.array([math.cos(angle_rad), math.sin(angle_rad)])
 
 
 def corner_of(page, points, about=AT):

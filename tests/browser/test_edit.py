@@ -124,8 +124,8 @@ def residuals_m(page):
     )
 
 
-def drawn(page):
-    """The canvas, as text."""
+def canvas_of(page):
+    """As text."""
     page.redraw()
     return page.run("return document.getElementById('map').toDataURL()")
 
@@ -146,11 +146,11 @@ def test_a_bent_map_is_straightened_by_clicks_compared_and_taken_back(page, view
     page.wait_for("return corridor.view.tiles.tiles.size > 0 && corridor.view.before !== null")
     page.element("fit").click()
     page.element("forget-places").click()  # their points lie on the present map only
-    after = drawn(page)
+    after = canvas_of(page)
     page.element("show-before").click()
-    assert drawn(page) != after
+    assert canvas_of(page) != after
     page.element("show-before").click()
-    assert drawn(page) == after
+    assert canvas_of(page) == after
     page.wait_for("return !corridor.view.showsBefore")
     page.element("edit-undo").click()
     wait_for_version(page, 3)
@@ -271,7 +271,7 @@ def test_a_wall_is_drawn_with_keys_alone(page, view, folder):
     page.wait_for("return corridor.view.tiles.valueAt(6.5, 0.0) === 97")
 
 
-def test_a_time_span_is_cut_out_by_clicking_the_way(page, view, folder, bent):
+def test_a_time_span_is_cut_out_by_clicking_the_path(page, view, folder, bent):
     first, last = 30, 40
     page.look_at(*bent.graph.map[35, :2], 60.0)
     for end, k in (("from", first), ("to", last)):
@@ -291,12 +291,12 @@ def test_a_time_span_is_cut_out_by_clicking_the_way(page, view, folder, bent):
 
 
 def test_the_result_of_a_change_is_shown_once_the_next_one_can_be_made(page, view):
-    """Who reads it may click at once; a click on what is still disabled would be lost."""
+    """The operator may click at once; a click on what is still disabled would be lost."""
     page.run(
         "const ask = corridor.connection.command.bind(corridor.connection);"
-        "const held = new Promise((settle) => { window.letLook = settle; });"
+        "const delayed = new Promise((settle) => { window.letLook = settle; });"
         "corridor.connection.command = async (verb, request) => {"
-        "  if (verb === 'map_look') { window.looks = true; await held; }"
+        "  if (verb === 'map_look') { window.looks = true; await delayed; }"
         "  return ask(verb, request); };"
         "corridor.edit.change({what: 'wall', corners: [[6, 0], [7, 0]]}, 'Wall')"
     )
@@ -321,7 +321,7 @@ def test_more_points_than_a_change_may_have_are_not_taken(unchanged):
     assert unchanged.run("return corridor.edit.tool.corners.length") == 500
 
 
-def test_what_somebody_else_changed_is_seen_and_not_written_over(page, view, folder):
+def test_what_another_client_changed_is_seen_and_not_written_over(page, view, folder):
     map_edit.edit_map(folder, "wall", map_edit.wall([0, 0, 1, 0]), "bob", 5)
     page.run("corridor.edit.change({what: 'wall', corners: [[6, 0], [7, 0]]}, 'Wall')")
     page.wait_for_text("edit-note", "the map is at version 2")
@@ -355,7 +355,7 @@ def test_the_path_goes_with_the_map_that_is_bent(page, opened, tmp_path, bent):
     opened(tmp_path)
     page.element("past-position").send_keys(Keys.END)
     page.wait_for("const m = corridor.report().moment; return m.position_s === m.duration_s")
-    assert "\u00b1 \u2013" in page.text("information")  # a trajectory does not tell how well it is known
+    assert "\u00b1 \u2013" in page.text("information")  # a trajectory has no covariance
     pairs = [(points.ravel().tolist(), (k, k + ROUND)) for k in PAIRED for points in bent.common_points(k)]
     map_edit.edit_map(folder, "add-pair", map_edit.add_pairs(pairs), "bob", 5)
     page.run("corridor.edit.change({what: 'optimize'}, 'Optimise')")  # is refused, and the newer map shown

@@ -1,4 +1,4 @@
-"""The page of a fleet: vehicles of a router on loopback, drawn on the map of their tiles."""
+"""The page of a fleet: vehicles of a router on loopback, shown on the map of their tiles."""
 
 from contextlib import closing
 
@@ -34,7 +34,7 @@ def fleet_page(endpoint, router, start_vehicle, open_client):  # noqa: F811
         yield served
 
 
-def test_a_vehicle_is_drawn_where_it_is_and_says_why_it_is_not_well(page, fleet_page):
+def test_a_vehicle_is_shown_at_its_pose_with_the_reason_of_its_state(page, fleet_page):
     page.open(fleet_page.address)
     page.wait_for("return corridor.fleet.vehicles.length === 1 && corridor.report().tiles === 4")
     page.wait_for_text("reason", "1 vehicle, 0 of them well")

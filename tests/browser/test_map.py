@@ -89,7 +89,7 @@ def test_pose_and_its_words_agree_with_the_message_and_the_vehicle_is_followed(p
     page.wait_for("return !corridor.view.isLive")  # no pose for 1.5 s
 
 
-def test_a_scan_is_drawn_where_it_was_taken_once_its_pose_has_come(page, scene, live):
+def test_a_scan_is_shown_at_its_pose_once_that_has_come(page, scene, live):
     """Poses come late where the service is overloaded, and not at all where mapping is paused."""
     page.wait_for("const s = corridor.report().scanPoints; return s.front > 0 && s.rear > 0")
     for name in MOUNTINGS:
@@ -123,7 +123,7 @@ def test_a_scan_of_a_moving_vehicle_is_laid_out_beam_by_beam(page, live):
     assert np.hypot(*(points[-1] - points[0])) == pytest.approx(0.36, abs=1e-6)
 
 
-def test_nothing_is_drawn_from_where_a_pose_jumps_away_to_where_it_goes_on(page, live):
+def test_no_line_is_shown_across_a_jump_of_the_pose(page, live):
     page.run("Object.assign(corridor.view.layers, {scans: 0, vehicle: 0, grid: 0})")
     before = page.run("return corridor.view.path.length")
     page.run(
@@ -270,7 +270,9 @@ def test_the_static_score_is_a_layer_from_just_come_to_stands_for_long(page, sce
 
 def test_what_is_not_as_the_stored_map_says_is_a_layer(page, scene, live):
     only_the_map(page)
-    assert page.run("return document.getElementById('layer-stored').parentElement.hidden")  # nobody watches
+    assert page.run(
+        "return document.getElementById('layer-stored').parentElement.hidden"
+    )  # no client watches
     cells = np.full((3, 12), -1, np.int8)
     cells[1, 1], cells[2, 11] = 100, 0
     live.put(encode_grid(Grid(0, 0.1, -1.0, 1.0, cells), stamp(1.0), stamp(1.0), "map/changes"))
@@ -302,7 +304,7 @@ def test_what_changed_since_a_moment_is_a_layer(page, scene, live):
     assert page.report()["change"] == {"appeared": 0, "gone": 0}
 
 
-def test_a_picture_is_drawn_within_a_frame_on_a_phones_processor(still):
+def test_a_picture_is_rendered_within_a_frame_on_a_phones_processor(still):
     """A quarter of this machine's speed; 60 pictures a second leave 16.7 ms for each. Here: 0.7 to 1.1 ms."""
     median_ms = still.driver.execute_async_script(
         "const done = arguments[0], v = corridor.view; v.follow(false); v.drawn_ms.length = 0;"

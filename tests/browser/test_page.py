@@ -66,7 +66,7 @@ def test_all_that_a_sensor_tells_is_shown_while_its_name_is_pressed(still):
     assert still.driver.find_elements("css selector", ".details:not([hidden])") == []
 
 
-def test_the_scan_of_a_laser_is_drawn_as_it_sees_it_and_beams_without_a_return_are_counted(page, live, scene):
+def test_the_scan_of_a_laser_is_shown_in_its_frame_and_beams_without_a_return_are_counted(page, live, scene):
     name_of(page, "front").click()
     scan = scene.scan("front", 1.1)
     range_m = scan.range_m.copy()

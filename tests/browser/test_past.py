@@ -95,7 +95,7 @@ def test_it_goes_back_as_well_as_forward(past):
     assert past.report()["pose"]["stamp_ns"] == str(stamp(16.9) + 1)
 
 
-def test_the_path_is_drawn_as_far_as_it_was_driven(past):
+def test_the_path_is_shown_as_far_as_it_was_driven(past):
     reached, not_yet = Scene().pose(2.0), Scene().pose(4.0)
     past.run("for (const layer of ['scans', 'vehicle', 'map', 'grid']) corridor.view.layers[layer] = false")
     try:

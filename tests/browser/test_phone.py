@@ -1,4 +1,4 @@
-"""What a thumb meets: how much of the map is left, and a way out of every tool."""
+"""The page on a phone: size of the map, and leaving every tool."""
 
 import pytest
 from selenium.webdriver.common.keys import Keys

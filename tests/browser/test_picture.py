@@ -7,7 +7,7 @@ import math
 import pytest
 from PIL import Image
 
-DRAWN = (  # by a function of map_frame.js onto a context that notes its words and its xs
+CALLS = (  # of a function of map_frame.js on a context that notes its texts and its xs
     "((camera) => { const words = [], xs = [], {colours} = corridor.view;"
     " const nothing = () => {}, before = {...camera};"
     " Object.assign(camera, {x_m: 0, y_m: 0, scale: 37, rotation_rad: a[0]});"
@@ -22,7 +22,7 @@ DRAWN = (  # by a function of map_frame.js onto a context that notes its words a
 
 @pytest.mark.parametrize("turn_rad", [0.0, 0.4, math.pi / 2, -2.0, math.pi])
 def test_metres_along_the_edges_stand_at_their_lines(still, turn_rad):
-    found, _ = still.of_module("map_frame.js", DRAWN, turn_rad, "drawMetres")
+    found, _ = still.of_module("map_frame.js", CALLS, turn_rad, "drawMetres")
     axes = set()
     for words, x_m, y_m in found:
         axis, at_m = words.split()
@@ -33,7 +33,7 @@ def test_metres_along_the_edges_stand_at_their_lines(still, turn_rad):
 
 
 def test_the_scale_bar_is_as_long_as_it_says(still):
-    ((words, *_),), length = still.of_module("map_frame.js", DRAWN, 0.0, "drawScale")
+    ((words, *_),), length = still.of_module("map_frame.js", CALLS, 0.0, "drawScale")
     assert (words, length) == ("2 m", pytest.approx(2 * 37.0))
 
 
