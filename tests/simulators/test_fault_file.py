@@ -59,18 +59,6 @@ def test_faults_are_read_in_their_order_with_their_defaults():
     assert (slow.kind, slow.at_s, slow.for_s) == ("slow_start", 0.0, 6.0)
 
 
-def test_every_kind_can_be_written():
-    parameters = {
-        "cut": "", "restart": "", "silence": "for_s: 1", "slow_start": "for_s: 1", "clock_jump": "by_s: -3",
-        "garbage": "for_s: 1", "bit_flips": "for_s: 1", "half_messages": "for_s: 1",
-        "wrong_checksum": "for_s: 1, share: 0.5", "duplicate": "for_s: 1", "drop": "for_s: 1",
-        "delay": "for_s: 1, up_to_ms: 3", "burst": "for_s: 1, hold_ms: 50",
-    }  # fmt: skip
-    assert parameters.keys() == KINDS.keys()
-    lines = [f"  - {{device: front, kind: {kind}, {more}}}\n" for kind, more in parameters.items()]
-    assert [fault.kind for fault in parse("faults:\n" + "".join(lines))] == list(parameters)
-
-
 @pytest.mark.parametrize(
     ("line", "where", "diagnostic"),
     [
