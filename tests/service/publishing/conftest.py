@@ -11,6 +11,7 @@ import zenoh
 from drivers.zenoh_config import zenoh_config
 from service.mapstore.tiles import TileStore
 from service.offline.security.authority import Holder, init_site
+from service.publishing.commands import Answer, refusal
 from service.publishing.config import PublishingConfig
 from service.publishing.zenoh_publisher import ZenohPublisher
 
@@ -48,6 +49,24 @@ class Inbox:
             return found[0]
 
 
+class Asked:
+    """What came in; answers with it, or fails, or waits to be let go."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[str, bytes]] = []
+        self.entered = threading.Semaphore(0)
+        self.go = threading.Event()
+        self.go.set()
+
+    def __call__(self, verb: str, payload: bytes) -> Answer:
+        self.heard.append((verb, payload))
+        self.entered.release()
+        assert self.go.wait(20.0)
+        if verb == "break":
+            raise KeyError("boards")
+        return refusal("no") if verb == "refuse" else Answer(True, b'{"ok": true}')
+
+
 def wait_for_subscriber(publisher: zenoh.Publisher) -> None:
     """Until it knows of one: what is put before is not sent."""
     with publisher.declare_matching_listener() as matching:
@@ -78,6 +97,18 @@ def open_publisher(store) -> Iterator[Callable[..., ZenohPublisher]]:
 @pytest.fixture
 def publisher(open_publisher) -> ZenohPublisher:
     return open_publisher(picture_period_s=0.1)
+
+
+@pytest.fixture
+def requested() -> Asked:
+    return Asked()
+
+
+@pytest.fixture
+def served(publisher: ZenohPublisher, requested: Asked) -> Iterator[ZenohPublisher]:
+    publisher.answer_commands(requested)
+    yield publisher
+    requested.go.set()
 
 
 @pytest.fixture

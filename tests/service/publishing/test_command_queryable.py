@@ -1,47 +1,16 @@
 import logging
 import threading
-from collections.abc import Iterator
 from functools import partial
 
 import pytest
 import zenoh
 
 from service.publishing import command_queryable, query_workers
-from service.publishing.commands import Answer, refusal
 from service.publishing.zenoh_publisher import ZenohPublisher
 from tests.in_background import started
+from tests.service.publishing.conftest import Asked
 
 ROOT = "corridor/v1/veh1"
-
-
-class Asked:
-    """What came in; answers with it, or fails, or waits to be let go."""
-
-    def __init__(self) -> None:
-        self.heard: list[tuple[str, bytes]] = []
-        self.entered = threading.Semaphore(0)
-        self.go = threading.Event()
-        self.go.set()
-
-    def __call__(self, verb: str, payload: bytes) -> Answer:
-        self.heard.append((verb, payload))
-        self.entered.release()
-        assert self.go.wait(20.0)
-        if verb == "break":
-            raise KeyError("boards")
-        return refusal("no") if verb == "refuse" else Answer(True, b'{"ok": true}')
-
-
-@pytest.fixture
-def requested() -> Asked:
-    return Asked()
-
-
-@pytest.fixture
-def served(publisher: ZenohPublisher, requested: Asked) -> Iterator[ZenohPublisher]:
-    publisher.answer_commands(requested)
-    yield publisher
-    requested.go.set()
 
 
 def ask(session: zenoh.Session, key: str, payload: str | None = None) -> list[tuple[bool, str, str]]:

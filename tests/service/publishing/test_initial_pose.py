@@ -13,7 +13,7 @@ from service.encoding import wire
 from service.geometry.se2 import SE2
 from service.publishing import initial_pose
 from service.publishing.zenoh_publisher import ZenohPublisher
-from tests.service.publishing.test_command_queryable import Asked
+from tests.service.publishing.conftest import Asked
 
 KEY = "corridor/v1/veh1/initialpose"
 
@@ -29,18 +29,6 @@ def payload_of(pose: SE2, frame: str = "map") -> bytes:
 def behind(client: zenoh.Session) -> None:
     """When what was put before has arrived: an answer comes over the same connection."""
     list(client.get("corridor/v1/veh1/pose"))
-
-
-@pytest.fixture
-def requested() -> Asked:
-    return Asked()
-
-
-@pytest.fixture
-def served(publisher: ZenohPublisher, requested: Asked):
-    publisher.answer_commands(requested)
-    yield publisher
-    requested.go.set()
 
 
 @pytest.mark.parametrize("frame", ["map", "/map"])

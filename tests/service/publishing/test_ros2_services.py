@@ -20,7 +20,7 @@ from service.publishing.config import PublishingConfig
 from service.publishing.ros2_topics import Ros2Topics
 from service.publishing.session import listened_at
 from service.publishing.shared import SharedZenoh
-from tests.service.publishing.test_command_queryable import Asked
+from tests.service.publishing.conftest import Asked
 from tests.service.publishing.test_initial_pose import payload_of
 from tests.service.test_encoding_ros_services import JAZZY
 
@@ -30,11 +30,6 @@ INITIAL_POSE_KEY = (
     "0/veh1/initialpose/geometry_msgs::msg::dds_::PoseWithCovarianceStamped_/"
     + JAZZY.hash_rihs01("geometry_msgs/msg/PoseWithCovarianceStamped")
 )
-
-
-@pytest.fixture
-def requested() -> Asked:
-    return Asked()
 
 
 @pytest.fixture
