@@ -1,15 +1,9 @@
 from service.allowance import Allowance
-
-
-class Clock:
-    now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
+from tests.set_clock import SetClock
 
 
 def test_so_many_at_once_then_so_many_a_second_and_all_at_once_after_a_rest():
-    clock = Clock()
+    clock = SetClock()
     allowance = Allowance(10.0, 3.0, clock)
     assert [allowance.takes_one() for _ in range(5)] == [True] * 3 + [False] * 2
     taken = 0

@@ -2,7 +2,6 @@
 
 import os
 import random
-import resource
 import signal
 import subprocess
 import sys
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.groups import children_cpu_s
 from tests.processes import alive, look_at
 from tests.shared_data import NO_RECORDINGS, SHARED
 from tests.soaked import in_soak
@@ -141,12 +141,6 @@ def wait_until_it_takes_signals(pid: int) -> None:
         return bool(caught >> (signal.SIGTERM - 1) & 1)
 
     wait_until(takes, PATIENCE_S, "there is no handler of signals")
-
-
-def children_cpu_s() -> float:
-    """Of all children of this process that have ended and were waited for."""
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime + usage.ru_stime
 
 
 def alive_in(group: int) -> list[int]:

@@ -17,6 +17,7 @@ from service.errors import ConfigError, CorridorError, InputError, StorageError,
 from service.runtime.metrics import Percentiles
 from service.runtime.summary import Summary
 from service.version import VERSION
+from tests.service.cli.test_status_line import Terminal
 
 GOOD = """\
 vehicle: v
@@ -242,11 +243,6 @@ def test_a_result_that_cannot_be_written_is_a_storage_error(command: list[str]):
         done = subprocess.run([CORRIDOR, *command], stdout=full, stderr=subprocess.PIPE, env=env, check=False)
     assert done.returncode == StorageError.exit_code
     assert done.stderr.decode() == "corridor: stdout: No space left on device\n"
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
 
 
 def test_the_bar_says_how_long_the_rest_takes_once_the_pace_is_known():

@@ -11,6 +11,7 @@ from service.cli.status_line import CLEAR, PLAIN_S, StatusLine, status_line
 from service.geometry.se2 import SE2
 from service.runtime.metrics import Percentiles
 from service.runtime.summary import RunningStatus
+from tests.set_clock import SetClock
 
 OK = RunningStatus(
     "ok", "ok", SE2(1.234, -5.0, 1.5707963), {"front": 50.0, "imu": 199.6}, Percentiles(1.9, 3.0, 43.4, 50.0),
@@ -21,14 +22,6 @@ OK = RunningStatus(
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 def service(running_status: RunningStatus | None = OK, kernels_compiled: float = 0.0) -> Any:
@@ -47,7 +40,7 @@ def test_the_running_status_names_state_pose_rates_latency_and_map():
 
 
 def test_on_a_terminal_the_line_is_drawn_again_in_its_place():
-    terminal, clock = Terminal(), Clock()
+    terminal, clock = Terminal(), SetClock()
     line = StatusLine(terminal, clock)
     line(service(None))
     clock.now_s += 0.4
@@ -66,7 +59,7 @@ def test_on_a_terminal_the_line_is_drawn_again_in_its_place():
 
 
 def test_elsewhere_it_is_a_line_of_the_log_now_and_then(caplog: pytest.LogCaptureFixture):
-    pipe, clock = io.StringIO(), Clock()
+    pipe, clock = io.StringIO(), SetClock()
     line = StatusLine(pipe, clock, is_reported_elsewhere=False)
     with caplog.at_level(logging.INFO):
         for _ in range(25):

@@ -8,21 +8,12 @@ from service.recording import mcap_recorder
 from service.recording.mcap_file import create_stream
 from service.recording.mcap_recovery import recover
 from tests.service.recording.sessions import PLENTY, read_back, scan_message
+from tests.set_clock import SetClock
 from tests.waiting import wait_until
 
 
-class Clock:
-    """A monotonic clock that a test sets; it wakes no one, the recorder looks at it."""
-
-    def __init__(self) -> None:
-        self.now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
 def test_recording_pauses_on_a_full_disk_and_resumes(recorder, caplog):
-    clock, free = Clock(), [PLENTY]
+    clock, free = SetClock(), [PLENTY]
     session = recorder(keep_free_bytes=1_000_000, free_bytes_of=lambda _: free[0], monotonic_s=clock)
     session.put(scan_message(0))
     wait_until(lambda: session.health.messages == 1)
@@ -60,7 +51,7 @@ class FailingStream(io.FileIO):
 
 
 def test_a_disk_error_costs_the_file_but_not_the_recording(recorder, tmp_path):
-    clock = Clock()
+    clock = SetClock()
     rooms = iter([2_000])
 
     def open_stream(path: Path):
@@ -87,7 +78,7 @@ def test_a_disk_error_costs_the_file_but_not_the_recording(recorder, tmp_path):
 
 
 def test_what_was_synced_before_a_disk_error_stays_to_be_recovered(recorder, tmp_path):
-    clock = Clock()
+    clock = SetClock()
     streams: list[FailingStream] = []
 
     def open_stream(path: Path):

@@ -5,17 +5,11 @@ import pytest
 from service.errors import InputError, StorageError
 from service.web import tokens
 from service.web.tokens import FREE_ATTEMPTS, LONGEST_WAIT_S, Attempts, Tokens, add_grant, read_grants
-
-
-class Clock:
-    now_s = 1000.0
-
-    def __call__(self) -> float:
-        return self.now_s
+from tests.set_clock import SetClock
 
 
 def test_a_token_has_name_role_and_end_and_is_kept_as_a_digest(tmp_path):
-    path, clock = tmp_path / "state" / "web.tokens.json", Clock()
+    path, clock = tmp_path / "state" / "web.tokens.json", SetClock(1000.0)
     known = Tokens("own", path, clock)
     assert known.grant_of("own").role == "operator"
     assert known.grant_of("anna") is None
@@ -58,7 +52,7 @@ def test_a_file_that_is_damaged_or_open_to_others_gives_no_right(tmp_path, caplo
 
 
 def test_wrong_tokens_of_an_address_are_answered_later_and_later_and_seldom_logged(caplog):
-    clock = Clock()
+    clock = SetClock()
     attempts = Attempts(clock)
     waits_s = [attempts.wrong("10.0.0.9") for _ in range(100)]
     assert waits_s[:FREE_ATTEMPTS] == [0.0] * FREE_ATTEMPTS
