@@ -125,13 +125,9 @@ class Drive:
 
 
 @contextmanager
-def driving(folder: Path, faults: str, settings: dict[str, Any], seed: int) -> Iterator[Drive]:
-    """The devices are on their wires, with these lines of a file of faults; the service does not run yet."""
-    file = None
-    if faults:
-        file = folder / "faults.yaml"
-        file.write_text(f"faults:\n{faults}")
-    options = DemoOptions(None, None, None, seed, folder, file)
+def driving(folder: Path, settings: dict[str, Any], seed: int) -> Iterator[Drive]:
+    """The devices are on their wires; the service does not run yet."""
+    options = DemoOptions(None, None, None, seed, folder, None)
     truth = folder / "truth.txt"
     with simulators(options, truth) as fakes:
         sensors = yaml.safe_load(demo_config(fakes.endpoints, options, free_port()).text)["sensors"]

@@ -78,7 +78,6 @@ class Live:
 
     place     what it needs around the run
     settings  of the config, by section
-    lines     of a file of faults of the devices
     """
 
     fault: str
@@ -86,12 +85,11 @@ class Live:
     expected: Expected = USUAL
     place: f.Place = lambda folder: nullcontext({})
     settings: Callable[[], dict[str, Any]] = dict
-    lines: str = ""
 
     def run(self, seed: int, say: Callable[[str], object]) -> Result:
         """Raises CannotBeHadError, AssertionError."""
         with TemporaryDirectory(prefix="corridor-chaos-") as name, self.place(Path(name)) as settings:
-            with driving(Path(name), self.lines, settings, seed) as drive:
+            with driving(Path(name), settings, seed) as drive:
                 drive.configure(**self.settings())
                 drive.start()
                 drive.run_until(AT_S)
@@ -149,11 +147,12 @@ def rows(seed: int, kills: int) -> dict[str, Wire | Live]:
         "burst": wire("messages kept and sent each 0.5 s", "burst", "for_s: 2, hold_ms: 500", 2.0),
         "clock-ahead": wire("clocks of the devices step by 100 s", "clock_jump", "by_s: 100", 0.0, clocks),
         "clock-back": wire("clocks of the devices step by -100 s", "clock_jump", "by_s: -100", 0.0, clocks),
-        "random": Live(
+        "random": Wire(
             "each kind of fault by chance on `front` and `base`, 60 s",
-            lambda drive: drive.run_until(RANDOM_S),
-            Expected(recovery_s=UNKNOWN, rmse_m=UNKNOWN, end_m=UNKNOWN, codes=(0, 1)),
-            lines=random_faults(seed, RANDOM_S),
+            [random_faults(seed, RANDOM_S)],
+            RANDOM_S - CALM_BEFORE_S,
+            CALM_BEFORE_S,
+            expected=Expected(data_lost_s=UNKNOWN, rmse_m=UNKNOWN, end_m=UNKNOWN),
         ),
         "ports": Live("another program opens the ports of all devices for 2 s", f.other_program(2.0)),
         "ntp-ahead": Live(

@@ -15,7 +15,7 @@ from simulators.truth import Ride
 from simulators.vehicle import FakeVehicle, parse_devices
 from simulators.worlds import build_world
 from tests.chaos.faults import CannotBeHadError, set_wall_clock, wall_clock
-from tests.chaos.rows import Live, Wire, rows
+from tests.chaos.rows import Wire, rows
 
 
 def test_the_files_of_faults_are_accepted_and_every_boot_order_is_there_once():
@@ -24,8 +24,7 @@ def test_the_files_of_faults_are_accepted_and_every_boot_order_is_there_once():
     devices = FakeVehicle(specs, Ride(build_world("room"), 0), 1).devices
     made = rows(seed=1, kills=1)
     for name, row in made.items():
-        files = [row.lines] if isinstance(row, Live) else [row.lines[0], row.lines[-1]]
-        for lines in filter(None, files):
+        for lines in (row.lines[0], row.lines[-1]) if isinstance(row, Wire) else ():
             faults = parse_faults(f"faults:\n{lines}", name, devices)
             assert {fault.device for fault in faults} <= DEVICES.keys()
             if name == "boot-order":
