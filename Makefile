@@ -30,7 +30,7 @@ endif
 
 venv: $(STAMP) ## set up .venv; nothing to do when nothing changed
 
-# pip is silent while it unpacks: each 5 s its last step and the size of the venv are told.
+# pip prints nothing while it unpacks: each 5 s its last step and the size of the venv are printed.
 $(STAMP): pyproject.toml
 	@test -n "$(PYTHON)" || { echo "corridor needs Python 3.11, 3.12 or 3.13 with venv; none found. On Debian: apt install python3-venv"; exit 1; }
 	@echo "1/3 $(VENV): a Python environment by $(PYTHON), some seconds"

@@ -1,7 +1,7 @@
 #!/bin/sh
 # MkDocs 1.6.1: with --quiet, --strict lets warnings pass.
 #
-# Expected: --quiet prints less; --strict ends with 1 at a warning either way.
+# Expected: --quiet prints less; --strict ends with 1 at a warning with and without it.
 # Found: a link to a missing anchor ends with 1, and with 0 as soon as --quiet is given.
 set -eu
 work=$(mktemp -d)

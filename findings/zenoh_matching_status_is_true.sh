@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# eclipse-zenoh 1.10.2 (Python), Publisher.matching_status: true in every `if`, though nobody subscribes.
+# eclipse-zenoh 1.10.2 (Python), Publisher.matching_status: true in every `if`, though no client subscribes.
 #
 # Expected: a bool, as zenoh's type stub declares: False without a subscriber.
 # Found: an object of no declared truth value, so always true; its attribute `matching` has the answer.

@@ -88,9 +88,9 @@ def fingerprint(path: Path) -> str:
         return f"files {hashlib.sha256(''.join(lines).encode()).hexdigest()}"
     if is_remote(path):
         about = cast(Any, path).fs.info(cast(Any, path).path)
-        said = next((f"{name} {about[name]}" for name in CHECKSUMS if about.get(name)), None)
-        if said is not None:
-            return f"{said} size {about.get('size')}"
+        checksum = next((f"{name} {about[name]}" for name in CHECKSUMS if about.get(name)), None)
+        if checksum is not None:
+            return f"{checksum} size {about.get('size')}"
     with open_binary(path) as file:
         return f"sha256 {hashlib.file_digest(cast(Any, file), 'sha256').hexdigest()}"
 

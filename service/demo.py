@@ -327,7 +327,7 @@ def _read_endpoints(process: subprocess.Popen[bytes]) -> list[dict[str, str]]:
         if ready and not line and process.wait(READY_TIMEOUT_S) == ConfigError.exit_code:
             raise ConfigError(["the simulators refused the file of faults; what is wrong stands above"])
         if not line:
-            state = "ended" if ready else f"said nothing for {READY_TIMEOUT_S:.0f} s"
+            state = "ended" if ready else f"sent nothing for {READY_TIMEOUT_S:.0f} s"
             raise CorridorError(f"the simulators {state} before they were ready; their log stands above")
         word = json.loads(line)
         if word.get("ready"):

@@ -1,7 +1,7 @@
 """Ctrl-C and SIGTERM from the first moment of a command on: the process and its children end at once.
 
 Raising KeyboardInterrupt would not do: between two instructions of a compiler or an import it is lost,
-printed, or held up until a long call of C returns. So nothing is unwound. A command that has something to
+printed, or delayed until a long call of C returns. So nothing is unwound. A command that has something to
 finish takes the signals over (service.runtime.signals); it gives them back where none came.
 """
 
@@ -66,7 +66,7 @@ def end_on_signals(codes: dict[int, int]) -> None:
 
 
 def leave_signals_alone() -> None:
-    """Python's own ways again: Ctrl-C raises KeyboardInterrupt, the others end the process."""
+    """Python's own handlers again: Ctrl-C raises KeyboardInterrupt, the others end the process."""
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for number in (signal.SIGTERM, signal.SIGHUP):

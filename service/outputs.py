@@ -155,7 +155,7 @@ class GraphPicture:
     """The pose graph as lines, for people to look at; map frame, m, float32. Thinned where it is long.
 
     stamp_ns   of the newest key frame
-    ways       stretches of key frames, (N, 2) each; from one to the next only loops lead
+    paths      stretches of key frames, (N, 2) each; from one to the next only loops lead
     accepted   (L, 2, 2) both ends of each loop that holds the graph together
     refused    (R, 2, 2) of each that was measured and is not accepted, see service.mapper.loop_evidence
     borders    outlines of sub-maps, (K, 2) each; none where the method has no sub-maps

@@ -218,7 +218,7 @@ class IrobotCreateSession(RobotSession):
         wheel = "both" if left and right else "left" if left else "right"
         if faults := self._encoder_faults.add(wheel, arrived_ns):
             log.warning(
-                "%s: encoders jumped from %d, %d to %d, %d, at most %.3f m are possible; way not counted%s",
+                "%s: encoders jumped from %d, %d to %d, %d, at most %.3f m are possible; not counted%s",
                 self._config.name,
                 before.left,
                 before.right,

@@ -294,8 +294,8 @@ class MtigDialogue:
                 "rate of turn or acceleration; "
                 + (", ".join(self.refusals) or "write configure: true, or is it a unit without them?")
             )
-        said = yield from self._ask_if_known(Mid.REQ_DATA_LENGTH)
-        length = int.from_bytes(said, "big") if said else current.layout.data_bytes
+        answer = yield from self._ask_if_known(Mid.REQ_DATA_LENGTH)
+        length = int.from_bytes(answer, "big") if answer else current.layout.data_bytes
         if length != current.layout.data_bytes:
             raise DeviceError(
                 f"it announces {counted(length, 'byte')} a message, mode "

@@ -149,7 +149,7 @@ class XsensMtigSession(WatchedSession):
 
     def _set_status(self, now_ns: int) -> None:
         if not self._streaming:
-            texts: tuple[str, ...] = (self._dialogue.phase, self._health.said(now_ns))
+            texts: tuple[str, ...] = (self._dialogue.phase, self._health.newest(now_ns))
         else:
             notes = [] if self._stream is None else self._stream.notes
             parts = (self._dialogue.fault, *self._dialogue.refusals, *notes)

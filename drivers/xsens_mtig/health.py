@@ -66,11 +66,11 @@ class DeviceHealth:
         """Note an error or a warning of the device."""
         self._reported, self._reported_ns = text, now_ns
 
-    def said(self, now_ns: int) -> str:
+    def newest(self, now_ns: int) -> str:
         """The newest error or warning, while it is new."""
         return self._reported if now_ns - self._reported_ns < FORGET_NS else ""
 
     def words(self, now_ns: int) -> str:
         """The state as one line, the worst first."""
         status = self._words if self._status is not None else ""
-        return ", ".join(text for text in (self.said(now_ns), status, self._gnss) if text)
+        return ", ".join(text for text in (self.newest(now_ns), status, self._gnss) if text)

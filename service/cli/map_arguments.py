@@ -90,7 +90,7 @@ def _add_changes(change: Any) -> None:
         metavar="N",
         help="take back accepted loops, by their numbers in map loops; then optimise",
     )
-    change.add_argument("--optimize", action="store_true", help="solve the graph and draw the map anew")
+    change.add_argument("--optimize", action="store_true", help="solve the graph and render the map again")
     change.add_argument(
         "--undo", action="store_true", help="take the newest edit back; again: the one before it"
     )

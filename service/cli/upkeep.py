@@ -80,7 +80,7 @@ def init(parsed: argparse.Namespace) -> int:
 
     logging.getLogger("drivers").setLevel(logging.ERROR)  # the report has its own text
     wires = [parse_wire(wire) for wire in parsed.wires] or serial_ports()
-    print(f"asking {', '.join(map(str, wires)) or 'nobody'} ...", file=sys.stderr)
+    print(f"asking {', '.join(map(str, wires)) or 'no device'} ...", file=sys.stderr)
     written = write_new_config(wires, parsed.out, parsed.vehicle, parsed.data, parsed.seconds)
     print_report(written, parsed.json)
     return 0

@@ -120,7 +120,7 @@ def start_compiler() -> None:
     """Have numba read its registries, without scipy.
 
     It would import scipy.linalg only to find out whether np.dot is available, which takes half of the time.
-    No kernel multiplies matrices that way.
+    No kernel multiplies such matrices.
     """
     load_compiler()
     if "scipy.linalg" in sys.modules:

@@ -72,7 +72,7 @@ def decode_frame(
     angle step, an Imu without a gyroscope, values that are not finite or beyond what a sensor can measure. A
     NavSatFix without a fix is content, and so is one without an altitude (NaN). So is an Odometry whose
     covariance is none; that counts as unknown.
-    Raises InputError on bytes that are not the message they are said to be.
+    Raises InputError on bytes that are not a message of that type.
     """
     frame: Frame | None
     if message_type == wire.IMU and (imu := quick.read_imu(payload)) is not None:

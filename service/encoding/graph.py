@@ -31,7 +31,7 @@ Marker: TypeAlias = ros.visualization_msgs__msg__Marker
 
 
 def encode_graph(picture: GraphPicture, log_ns: int) -> Message:
-    """All of it in one message, as channel "graph"; its first marker takes away what was drawn before."""
+    """All of it in one message, as channel "graph"; its first marker deletes those before."""
     stamp_ns = picture.stamp_ns or log_ns  # of an empty one
     markers = [_marker(stamp_ns, "", 0, Marker.ARROW, Marker.DELETEALL, np.empty((0, 2), np.float32))]
     for name, strips in ((PATHS, picture.paths), (BORDERS, [_closed(border) for border in picture.borders])):

@@ -23,7 +23,7 @@ TILES = "map/tile"  # begin of the channels of tiles
 CHANGES = "map/changes"  # the channel: what is not as a stored map says, see service.mapper.map_changes
 STANDING = "standing"  # the channel: for how long things stand, see service.mapper.maps.occupancy
 # Viewers in 3D draw what lies at one height in any order: the map would hide scans and path. So it lies below
-# them, and what is drawn on it halfway. More than a viewer's depth resolves (mm), less than a cell.
+# them, and what is shown on it halfway. More than a viewer's depth resolves (mm), less than a cell.
 MAP_BELOW_M = 0.02
 
 
@@ -247,7 +247,7 @@ def decode_mountings(payload: bytes) -> dict[str, SE2]:
 
 
 def decode_upside_down(payload: bytes) -> frozenset[str]:
-    """Sensors that `encode_tf_static` said are mounted upside down. Raises InputError."""
+    """Sensors that are upside down by `encode_tf_static`. Raises InputError."""
     edges = decode_transforms(payload)
     return frozenset(t.child for t in edges if t.frame == wire.BASE_FRAME and t.is_upside_down)
 

@@ -46,7 +46,7 @@ _NOT_KNOWN_BYTES = NOT_KNOWN_36.tobytes()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Message:
-    """One encoded message on its way to subscribers and to the recorder.
+    """One encoded message for subscribers and the recorder.
 
     channel    below `corridor/v1/<vehicle>/` on Zenoh, below `/` as a ROS topic: "front/scan", "pose", "tf"
     type       ROS 2 name, e.g. "sensor_msgs/msg/LaserScan"

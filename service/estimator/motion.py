@@ -79,8 +79,8 @@ class Prediction(Motion):
             (one, one_m2, one_rad2, _, _), (two, two_m2, two_rad2, *end) = (
                 part.increment or part._increment_by_twist() for part in parts
             )
-            way_m2 = one_m2 + two_m2 + one_rad2 * (two.x_m**2 + two.y_m**2)
-            increment = OdometryIncrement(one @ two, way_m2, one_rad2 + two_rad2, *end)
+            position_m2 = one_m2 + two_m2 + one_rad2 * (two.x_m**2 + two.y_m**2)
+            increment = OdometryIncrement(one @ two, position_m2, one_rad2 + two_rad2, *end)
         return replace(
             self,
             elapsed_s=elapsed_s,

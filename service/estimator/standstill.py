@@ -119,8 +119,8 @@ class Standstill:
         jump_m, jump_rad = math.hypot(step[0], step[1]), abs(float(step[2]))
         start_s, elapsed_s = (stamp_ns - self._newest_ns) * 1e-9, (stamp_ns - begin.stamp_ns) * 1e-9
         starts = jump_m <= MAX_BRAKING_MPS2 * start_s**2 and jump_rad <= MAX_TURN_BRAKING_RADPS2 * start_s**2
-        way = elapsed_s * (begin.speed_mps + begin.turn_radps)
-        if starts or not 0.5 * way <= jump_m + jump_rad <= 2.0 * way:
+        expected = elapsed_s * (begin.speed_mps + begin.turn_radps)
+        if starts or not 0.5 * expected <= jump_m + jump_rad <= 2.0 * expected:
             return None
         hidden = poses.between(poses.between(begin.pose, state["pose"]), step)
         apart_s = (abs(begin.stamp_ns - begin.scan_ns) + abs(stamp_ns - int(state["stamp_ns"]))) * 1e-9

@@ -29,7 +29,7 @@ def is_inside(xy: Floats, corners: Floats) -> npt.NDArray[np.bool_]:
 
 
 def area_m2(corners: Floats) -> float:
-    """Of a polygon (C, 2) that does not cross itself, whichever way round it goes."""
+    """Of a polygon (C, 2) that does not cross itself, in either direction."""
     x, y = corners.T
     return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
 

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from service.geometry.poses import Floats
 from service.mapstore.picture import GREY_UNKNOWN, Picture, Pixels
 
-WAY, AXIS_X, AXIS_Y, INK = 1, 2, 3, 4
-PALETTE = {WAY: (31, 111, 180), AXIS_X: (200, 40, 30), AXIS_Y: (30, 140, 50), INK: (0, 0, 0)}
+PATH, AXIS_X, AXIS_Y, INK = 1, 2, 3, 4
+PALETTE = {PATH: (31, 111, 180), AXIS_X: (200, 40, 30), AXIS_Y: (30, 140, 50), INK: (0, 0, 0)}
 MARGIN = 12  # pixels around what is known
 FOOT = 24  # pixels below, for the scale bar
 MIN_WIDTH = 96  # room for a bar and its words
@@ -69,7 +69,7 @@ def known_part(picture: Picture, margin: int = MARGIN, foot: int = 0, least_widt
 def annotated(picture: Picture, paths: Sequence[Floats] = ()) -> Picture:
     """The part of a map that is known, with marks; to be written with PALETTE.
 
-    ways    (N, 2) m in the map each, N > 0: where the base was, in the order driven. A line each
+    paths   (N, 2) m in the map each, N > 0: positions of the base in the order driven. A line each
     """
     shown = known_part(picture, MARGIN, FOOT, MIN_WIDTH)
     cell_m = shown.cell_m
@@ -82,7 +82,7 @@ def annotated(picture: Picture, paths: Sequence[Floats] = ()) -> Picture:
     marks = []
     for path in paths:
         row, column = line(path)
-        marks.append(_Mark(WAY, np.concatenate((row, row + 1)), np.concatenate((column, column))))
+        marks.append(_Mark(PATH, np.concatenate((row, row + 1)), np.concatenate((column, column))))
     for colour, end in ((AXIS_X, (AXIS_M, 0.0)), (AXIS_Y, (0.0, AXIS_M))):
         row, column = line(np.array([(0.0, 0.0), end]))
         marks.append(_Mark(colour, np.concatenate((row, row + 1)), np.concatenate((column, column + 1))))

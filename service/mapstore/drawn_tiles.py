@@ -13,15 +13,15 @@ _NO_CELLS: Cells = np.empty((0, 2), np.int64)
 
 
 def with_area(
-    tiles: Sequence[TileUpdate], corners_map: Floats, value: int, drawn: Sequence[TileUpdate] = ()
+    tiles: Sequence[TileUpdate], corners_map: Floats, value: int, source: Sequence[TileUpdate] = ()
 ) -> tuple[list[TileUpdate], int]:
     """With `value` within a polygon (C, 2) m, in the tiles that there are; and how many cells of the finest
     level changed. Each tile that changed gets a new version.
 
-    drawn   tiles whose cells within stand in the place of `value`
+    source   tiles whose cells are used in place of `value`
     """
     cells = {cell_m: cells_inside(corners_map, cell_m) for cell_m in _sizes(tiles)}
-    return _filled(tiles, cells, value, drawn)
+    return _filled(tiles, cells, value, source)
 
 
 def with_line(tiles: Sequence[TileUpdate], corners_map: Floats, value: int) -> tuple[list[TileUpdate], int]:
@@ -31,12 +31,12 @@ def with_line(tiles: Sequence[TileUpdate], corners_map: Floats, value: int) -> t
 
 
 def with_cells(
-    tiles: Sequence[TileUpdate], cells: Cells, cell_m: float, drawn: Sequence[TileUpdate]
+    tiles: Sequence[TileUpdate], cells: Cells, cell_m: float, source: Sequence[TileUpdate]
 ) -> tuple[list[TileUpdate], int]:
-    """With cells of one size, each in a tile of `drawn`, as they are there, also where no tile was; else as
+    """With cells of one size, each in a tile of `source`, as they are there, also where no tile was; else as
     with_area.
     """
-    return _filled(_covering(tiles, {cell_m: cells}), {cell_m: cells}, UNKNOWN, drawn)
+    return _filled(_covering(tiles, {cell_m: cells}), {cell_m: cells}, UNKNOWN, source)
 
 
 def _sizes(tiles: Sequence[TileUpdate]) -> set[float]:
@@ -47,9 +47,9 @@ def _filled(
     tiles: Sequence[TileUpdate],
     cells_by_size: dict[float, Cells],
     value: int,
-    drawn: Sequence[TileUpdate] = (),
+    source: Sequence[TileUpdate] = (),
 ) -> tuple[list[TileUpdate], int]:
-    by_place = {(tile.level, tile.ix, tile.iy): tile.cells for tile in drawn}
+    by_place = {(tile.level, tile.ix, tile.iy): tile.cells for tile in source}
     version = max(tile.version for tile in tiles)
     filled, count = [], 0
     for tile in tiles:

@@ -1,7 +1,7 @@
 """The links of a stored map, which point to what is in use in its folder: each switched in one step.
 
 A copy that follows links (cp -rL, most sticks and archives) has files in their place. Those that are the same
-as in one of the versions give way to links again; anything else is someone's own and stays.
+as in one of the versions are replaced by links again; other files stay.
 """
 
 import filecmp

@@ -106,7 +106,7 @@ class PublishingConfig(Section):
         return named + [("0.0.0.0", port) for host, port in named if host == "::"]
 
     @model_validator(mode="after")
-    def _refuse_strangers(self) -> "PublishingConfig":
+    def _refuse_open_endpoints(self) -> "PublishingConfig":
         has_tls = self.secured is not None and self.secured.tls is not None
         for endpoint in (*self.listen, *self.connect, *self.fleet.connect):
             if endpoint.startswith("tls/"):

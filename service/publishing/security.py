@@ -73,7 +73,7 @@ class SecurityConfig(Section):
         return self.tls is not None or self.users is not None
 
 
-# "none": in words, that strangers may connect from other machines, too.
+# "none": explicitly, other machines may connect without a certificate.
 Security = Annotated[
     Annotated[SecurityConfig, Tag("settings")] | Annotated[Literal["none"], Tag("none")],
     Discriminator(lambda given: "settings" if isinstance(given, dict | SecurityConfig) else "none"),

@@ -326,7 +326,7 @@ def _mount(
     """
     mount = planar_mounting(tree, bases, source.frame)
     if mount is None:
-        where = _no_way(source, bases)
+        where = _no_chain(source, bases)
         mounted = [other for other in of_topic if not tree.chain(other.frame).keys().isdisjoint(bases)]
         if mounted or source is not of_topic[0]:
             raise MountingError(f"{where}, and in this topic it is not the only one")
@@ -336,12 +336,12 @@ def _mount(
     return mount
 
 
-def _no_way(source: Source, bases: Sequence[str]) -> str:
+def _no_chain(source: Source, bases: Sequence[str]) -> str:
     return f"/tf_static does not lead from {source.frame or 'its empty frame_id'} to {' or '.join(bases)}"
 
 
 def _guessed(source: Source, bases: Sequence[str]) -> str:
-    return f"{source}: {_no_way(source, bases)}; taken as mounted at the base's origin, looking ahead"
+    return f"{source}: {_no_chain(source, bases)}; taken as mounted at the base's origin, looking ahead"
 
 
 def _antennas(

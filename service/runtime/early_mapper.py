@@ -21,7 +21,7 @@ from service.interruption import before_ending
 from service.located_yaml import MAX_FILE_BYTES, load
 
 MODULE = "service.runtime.mapper_process"
-REPORTED = "--told"  # the section "mapping" of the config, JSON, comes on the process's standard input
+CONFIG_ON_STDIN = "--config-on-stdin"  # the section "mapping" of the config, as JSON
 END_S = 2.0
 FOLDER, SOCKET = "corridor-mapper-", "mapper.sock"
 
@@ -82,7 +82,7 @@ class EarlyMapper:
         self.mapper_socket = MapperSocket()
         before_ending(self.mapper_socket.close)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", MODULE, str(self.mapper_socket.folder), REPORTED],
+            [sys.executable, "-m", MODULE, str(self.mapper_socket.folder), CONFIG_ON_STDIN],
             stdin=subprocess.PIPE,
             env=mapper_environment(),
             start_new_session=True,

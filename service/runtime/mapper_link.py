@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 LISTEN_S = 0.2
 MAX_DEATHS = 4  # without an item done in between: then the service ends with an error
 HOLD_NS = 25_000_000  # that a sample may wait for the scan that it goes to the mapper with
-MAX_HELD = 64  # samples; then they go without one
+MAX_DELAYED = 64  # samples; then they go without one
 MAX_BACK_END_DEATHS, BACK_END_DEATHS_WITHIN_S = 3, 60.0  # then the stand-by stays where its own one dies
 STANDBY_S = 5.0  # that a stand-by which has just been made may take to come here
 
@@ -158,7 +158,10 @@ class MapperLink:
                 return
             if msg.is_sample(item):
                 self._delayed.append(item)
-                if item.arrived_ns - self._delayed[0].arrived_ns > HOLD_NS or len(self._delayed) > MAX_HELD:
+                if (
+                    item.arrived_ns - self._delayed[0].arrived_ns > HOLD_NS
+                    or len(self._delayed) > MAX_DELAYED
+                ):
                     self._send_delayed()
             else:
                 self._send_delayed(item)

@@ -40,7 +40,7 @@ from service.mapstore.patch_files import PatchFiles
 from service.runtime import mapper_messages as msg
 from service.runtime.back_end import BackEndProcess
 from service.runtime.channel import Channel, ChannelClosedError, wait_for
-from service.runtime.early_mapper import REPORTED, SOCKET
+from service.runtime.early_mapper import CONFIG_ON_STDIN, SOCKET
 from service.runtime.mapping import MapperError, MappingLoop
 from service.runtime.standby_schedule import StandbySchedule
 
@@ -267,7 +267,7 @@ def _progress(channel: Channel) -> KernelProgress:
 
 def _reported() -> MappingConfig | None:
     """The mapping that an EarlyMapper reports; None: nothing, or what no config allows."""
-    if REPORTED not in sys.argv:
+    if CONFIG_ON_STDIN not in sys.argv:
         return None
     try:
         return mapping_config(json.loads(sys.stdin.read()))

@@ -40,7 +40,7 @@ MAX_EVENTS = 100
 FRAMES = ("scan", "imu", "odom", "fix")  # what a sensor gives
 # Counted in health, many a second.
 UNREPORTED = (encoding.APPLY_RESULT, "scan_passed_over", "frame_refused", "frame_left_out")
-MAX_WAYS = 200  # that wait to be shown
+MAX_STRETCHES = 200  # that wait to be shown
 PATH_STEP_M = 0.05
 # A pose farther away than a vehicle can have come: it was found elsewhere, and the path begins again there.
 JUMP_M, FASTEST_MPS = 1.0, 20.0  # map_view.js has them, too
@@ -119,7 +119,7 @@ class _Streams:
     events: deque[encoding.Message] = field(default_factory=lambda: deque(maxlen=MAX_EVENTS))
     latencies_ns: deque[int] = field(default_factory=lambda: deque(maxlen=1000))
     path: FloatArray | None = None  # in place of the path so far
-    way: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=MAX_WAYS))  # behind it
+    stretches: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=MAX_STRETCHES))  # after it
     ready: dict[str, Payload] = field(default_factory=dict)  # by key
 
 
@@ -192,12 +192,12 @@ class LiveView:
         """Take poses in place of the path so far; (N, 2), m, map frame. From any thread."""
         with self._lock:
             self._came.path = points_map
-            self._came.way.clear()
+            self._came.stretches.clear()
 
-    def put_way(self, points_map: FloatArray) -> None:
+    def put_stretch(self, points_map: FloatArray) -> None:
         """Take a stretch behind the path so far; (N, 2), m, map frame. From any thread."""
         with self._lock:
-            self._came.way.append(points_map)
+            self._came.stretches.append(points_map)
 
     def put_ready(self, payloads: Mapping[str, Payload]) -> None:
         """Take payloads that were made elsewhere, each in place of that of its key. From any thread."""
@@ -235,10 +235,10 @@ class LiveView:
             for x_m, y_m in came.path.tolist():
                 self._path.add(x_m, y_m)
             shown.append(Shown("path", self._path.payload()))
-        for way in came.way:
-            for x_m, y_m in way.tolist():
+        for stretch in came.stretches:
+            for x_m, y_m in stretch.tolist():
                 self._path.add(x_m, y_m)
-            shown.append(Shown("", encode_path(way, goes_on=True)))
+            shown.append(Shown("", encode_path(stretch, goes_on=True)))
         return shown
 
     def _show(self, channel: str, message: encoding.Message) -> list[Shown]:

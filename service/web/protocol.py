@@ -9,8 +9,8 @@ To the browser, text is JSON with a "type"; binary begins with a kind:
             FIRST_CAUSE + k = none, for the cause k of drivers.frames.CAUSES, which `hello` names
     PATH    u8 3, u8 how, u16 0, u32 count, count x (f32 x_m, f32 y_m), map frame;
             how 0: in place of the path so far, 1: behind it
-    GRAPH   u8 4, u8 0, u16 0, then zlib of u32 ways, u32 borders, u32 accepted, u32 refused; a u32 count of
-            points for each way and each border; the points of ways and borders, then both ends of each
+    GRAPH   u8 4, u8 0, u16 0, then zlib of u32 paths, u32 borders, u32 accepted, u32 refused; a u32 count of
+            points for each path and each border; the points of paths and borders, then both ends of each
             accepted and of each refused loop, as (f32 x_m, f32 y_m), map frame; then JSON: what some of the
             loops rest on, {"accepted": [...], "refused": [...]}, see service.mapper.loop_evidence
 

@@ -114,8 +114,8 @@ class WebServer:
         self._names = own_names(config.hosts)
         self._scheme = "https" if config.tls_certificate else "http"
         self._view = view = LiveView(time.monotonic_ns)
-        self.put, self.put_path, self.put_way, self.put_ready = (
-            view.put, view.put_path, view.put_way, view.put_ready
+        self.put, self.put_path, self.put_stretch, self.put_ready = (
+            view.put, view.put_path, view.put_stretch, view.put_ready
         )  # fmt: skip
         self._run_id = uuid.uuid4().hex  # another one: the service was started again
         self._edition, self._files = _static_files()

@@ -337,7 +337,7 @@ def test_a_replay_is_steered_from_its_strip(page, live, dispatcher):
 
 def test_the_path_goes_on_where_a_replay_leaves_poses_out(page, live):
     before = page.report()["pathPoints"]
-    live.put_way(np.array([[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]], np.float32))
+    live.put_stretch(np.array([[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]], np.float32))
     page.wait_for("return corridor.report().pathPoints === arguments[0]", before + 3)
     live.put_path(np.array([[5.0, 1.0], [6.0, 1.0]], np.float32))
     page.wait_for("return corridor.report().pathPoints === 2")

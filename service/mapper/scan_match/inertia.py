@@ -61,8 +61,8 @@ def inertia_cost(constant_velocity: SE2, pose: SE2, elapsed_s: float, covariance
     elapsed_s           since the pose before
     covariance          (3, 3) of the difference at constant velocity, base axes
     """
-    way_m2, turn_rad2 = velocity_variance(elapsed_s)
-    chi2 = chi2_between(constant_velocity, pose, covariance + np.diag([way_m2, way_m2, turn_rad2]))
+    position_m2, turn_rad2 = velocity_variance(elapsed_s)
+    chi2 = chi2_between(constant_velocity, pose, covariance + np.diag([position_m2, position_m2, turn_rad2]))
     cost: float = student_cost(chi2, STUDENT)
     return cost
 

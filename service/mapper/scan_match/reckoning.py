@@ -70,7 +70,7 @@ class Reckoning:
             self.restart(stamp_ns, matched)
             return None
         steps, step = self._steps, predicted.increment or by_speed(predicted)
-        if steps[-1].stamp_ns == stamp_ns:  # the same scan, matched in another way
+        if steps[-1].stamp_ns == stamp_ns:  # the same scan, matched again
             steps[-1] = replace(steps[-1], matched=matched)
             return _conflict(steps[0], steps[-1])
         last = steps[-1]
@@ -106,17 +106,17 @@ def by_speed(predicted: Prediction) -> OdometryIncrement:
     """A step at constant velocity: between scans of two lasers there may be no sample of odometry."""
     elapsed_s = predicted.elapsed_s
     forward, left, turn = predicted.twist_base
-    way_m2, turn_rad2 = velocity_variance(elapsed_s)
+    position_m2, turn_rad2 = velocity_variance(elapsed_s)
     return OdometryIncrement(
-        SE2.exp(elapsed_s * forward, elapsed_s * left, elapsed_s * turn), way_m2, turn_rad2
+        SE2.exp(elapsed_s * forward, elapsed_s * left, elapsed_s * turn), position_m2, turn_rad2
     )
 
 
 def _covariance_between(begin: _Step, end: _Step) -> Matrix:
     """(3, 3) of the path by odometry between two steps, base axes."""
-    way_m2 = end.variance_m2 - begin.variance_m2 + begin.end_m2 + end.end_m2
+    position_m2 = end.variance_m2 - begin.variance_m2 + begin.end_m2 + end.end_m2
     turn_rad2 = end.variance_rad2 - begin.variance_rad2 + begin.end_rad2 + end.end_rad2
-    return np.diag([way_m2, way_m2, turn_rad2])
+    return np.diag([position_m2, position_m2, turn_rad2])
 
 
 def _conflict(begin: _Step, end: _Step) -> Conflict | None:
@@ -127,11 +127,11 @@ def _conflict(begin: _Step, end: _Step) -> Conflict | None:
     turn_rad2 = end.variance_rad2 - begin.variance_rad2 + MATCH_SIGMA_RAD**2
     turn_rad2 += begin.end_rad2 + end.end_rad2
     scale_m = USUAL.odometry_scale_sigma * travel_m
-    way_m2 = end.variance_m2 - begin.variance_m2 + scale_m**2 + MATCH_SIGMA_M**2
-    way_m2 += begin.end_m2 + end.end_m2
-    way_m2 += turn_rad2 * travel_m**2 / 3.0  # random walk of the heading along the path
+    position_m2 = end.variance_m2 - begin.variance_m2 + scale_m**2 + MATCH_SIGMA_M**2
+    position_m2 += begin.end_m2 + end.end_m2
+    position_m2 += turn_rad2 * travel_m**2 / 3.0  # random walk of the heading along the path
     turn_chi2 = wrap_angle(matched.theta_rad - reckoned.theta_rad) ** 2 / turn_rad2
-    if off_m2 / way_m2 + turn_chi2 <= CHI2_999_OF_3:
+    if off_m2 / position_m2 + turn_chi2 <= CHI2_999_OF_3:
         return None
-    covariance = np.diag([way_m2, way_m2, turn_rad2])
+    covariance = np.diag([position_m2, position_m2, turn_rad2])
     return Conflict(begin.matched @ reckoned, covariance, is_turned=turn_chi2 > CHI2_999_OF_1)

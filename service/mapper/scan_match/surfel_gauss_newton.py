@@ -414,8 +414,8 @@ def _doubt(predicted: Prediction) -> Matrix:
 
     Either the place has changed, or odometry is wrong and the motion unknown, but for the vehicle's inertia.
     """
-    way_m2, turn_rad2 = velocity_variance(min(predicted.elapsed_s, GAP_S))
-    return WRONG_MOTION * np.diag([way_m2, way_m2, turn_rad2])
+    position_m2, turn_rad2 = velocity_variance(min(predicted.elapsed_s, GAP_S))
+    return WRONG_MOTION * np.diag([position_m2, position_m2, turn_rad2])
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:

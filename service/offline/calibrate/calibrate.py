@@ -40,7 +40,7 @@ ENOUGH = {"m": 0.02, "deg": 0.5, "ms": 5.0, "%": 1.0}
 DRIVE_ON = "; drive two minutes with straights and turns to both sides"
 MIRRORED = (
     "{wheels} counts turns to the other side than {laser} sees them, so no mounting and no wheels can be "
-    "told: is {laser} upside down (mounting: upside_down), or are the left and the right wheel swapped?"
+    "determined: is {laser} upside down (mounting: upside_down), or are the left and the right wheel swapped?"
 )
 GYRO_OFF_PERCENT = 5.0  # a scale so far from 1 is no error of a gyro
 Changes = dict[str, dict[str, Any]]  # sensor -> key -> value; a mapping is merged into the one that is there
@@ -252,7 +252,7 @@ class _Findings:
     ) -> None:
         """Note what was found, and what of it changes the config: a mounting, a latency."""
         p50, p99 = (float(p) for p in np.percentile(latency_ms, (50, 99)))
-        said = list(notes)
+        all_notes = list(notes)
         found = {value.name: value for value in values}
         new: dict[str, Any] = {}
         if kind == "laser" and {"x", "y", "yaw"} <= found.keys():
@@ -266,13 +266,13 @@ class _Findings:
             if MIN_LATENCY_MS <= latency <= MAX_LATENCY_MS:
                 new["latency_ms"] = round(latency, 2)
             else:
-                said.append(
+                all_notes.append(
                     f"a latency of {latency:.1f} ms is none that a config takes ({MIN_LATENCY_MS:g} to "
                     f"{MAX_LATENCY_MS:g} ms)"
                 )
         if new:
             self.changes.setdefault(name, {}).update(new)
-        self.sensors.append(SensorCalibration(name, kind, tuple(values), p50, p99, tuple(said)))
+        self.sensors.append(SensorCalibration(name, kind, tuple(values), p50, p99, tuple(all_notes)))
 
     def leave_out_what_is_refused(self, config: ServiceConfig | None) -> None:
         """Leave out a sensor of another type in the config, or whose values the config does not accept."""
@@ -281,9 +281,9 @@ class _Findings:
             if settings is None or not (refused := why_not_taken(self.changes[name], settings)):
                 continue
             del self.changes[name]
-            said = f"stays as it is, for the config's {name} ({settings.type}) does not take it: {refused}"
+            note = f"stays as it is, for the config's {name} ({settings.type}) does not take it: {refused}"
             self.sensors = [
-                replace(one, notes=(*one.notes, said)) if one.sensor == name else one for one in self.sensors
+                replace(one, notes=(*one.notes, note)) if one.sensor == name else one for one in self.sensors
             ]
 
 

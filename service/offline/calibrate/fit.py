@@ -75,7 +75,7 @@ def fit_wheels(laser: LaserTrack, wheels: WheelTrack, wheel_base_m: float | None
 
     if float(np.ptp(at_knots[:, 2])) == 0.0 and not wheels.steps.any():
         raise InputError(f"{wheels.sensor}: the wheels never moved; drive, and turn to both sides")
-    way = np.abs(counted)
+    motion = np.abs(counted)
     unknowns = (
         Unknown("x_m", "m"),
         Unknown("y_m", "m"),
@@ -85,7 +85,7 @@ def fit_wheels(laser: LaserTrack, wheels: WheelTrack, wheel_base_m: float | None
         Unknown("turn_per_m", "rad/m"),
         Unknown("offset_s", "s"),
     )
-    return _solve(unknowns, residuals, np.hypot(way[:, 0], way[:, 1]) + 0.1 * way[:, 2])
+    return _solve(unknowns, residuals, np.hypot(motion[:, 0], motion[:, 1]) + 0.1 * motion[:, 2])
 
 
 def fit_gyro(laser: LaserTrack, gyro: GyroTrack) -> Fit:
@@ -159,26 +159,26 @@ def _turn_between(from_steps: Floats, to_steps: Floats) -> float:
     return math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
 
 
-def _solve(unknowns: Sequence[Unknown], residuals: Callable[[Floats], Floats], way: Floats) -> Fit:
+def _solve(unknowns: Sequence[Unknown], residuals: Callable[[Floats], Floats], path_m: Floats) -> Fit:
     """Gauss and Newton with weights. Raises InputError where the numbers make no sense.
 
-    way     (N,) of each step: the variance of a step is q * path + 2 r^2, and neighbours share -r^2, with q
+    path_m  (N,) of each step: the variance of a step is q * path + 2 r^2, and neighbours share -r^2, with q
             the noise that grows with the distance and r that of a pose; both are read off the residuals
     """
     start = np.array([unknown.start for unknown in unknowns])
     believed = np.array([BELIEVED[unknown.unit] for unknown in unknowns]) ** -2.0
     p = start.copy()
     deltas = np.array([JACOBIAN_STEPS[unknown.unit] for unknown in unknowns])
-    weigh = np.ones(len(way))
+    weigh = np.ones(len(path_m))
     covariance: Floats = np.eye(len(p))
     for _ in range(ROUNDS):
         r = residuals(p)
         jacobian = np.stack([(residuals(p + d) - residuals(p - d)) for d in np.diag(deltas)], axis=2)
         jacobian /= 2.0 * deltas
         information, pull = np.diag(believed), believed * (p - start)
-        off = np.zeros(len(way))
+        off = np.zeros(len(path_m))
         for component in range(r.shape[1]):
-            whitened_j, whitened_r = _whiten(jacobian[:, component], r[:, component], way, weigh)
+            whitened_j, whitened_r = _whiten(jacobian[:, component], r[:, component], path_m, weigh)
             information += whitened_j.T @ whitened_j
             pull += whitened_j.T @ whitened_r
             off = np.maximum(off, np.abs(whitened_r))
@@ -194,11 +194,11 @@ def _solve(unknowns: Sequence[Unknown], residuals: Callable[[Floats], Floats], w
     return Fit(tuple(u.name for u in unknowns), p, covariance)
 
 
-def _whiten(jacobian: Floats, r: Floats, way: Floats, weigh: Floats) -> tuple[Floats, Floats]:
+def _whiten(jacobian: Floats, r: Floats, path_m: Floats, weigh: Floats) -> tuple[Floats, Floats]:
     """Both multiplied by the inverse of the Cholesky factor of the residuals' covariance, which has three
     diagonals."""
-    pose_variance, path_noise = _noise(r, way)
-    diagonal = (path_noise * way + 2.0 * pose_variance) * weigh**2
+    pose_variance, path_noise = _noise(r, path_m)
+    diagonal = (path_noise * path_m + 2.0 * pose_variance) * weigh**2
     beside = -pose_variance * np.ones(len(r) - 1)
     lower = np.empty(len(r))
     factor = np.zeros(len(r))
@@ -215,12 +215,12 @@ def _whiten(jacobian: Floats, r: Floats, way: Floats, weigh: Floats) -> tuple[Fl
     return white[:, :-1], white[:, -1]
 
 
-def _noise(r: Floats, way: Floats) -> tuple[float, float]:
+def _noise(r: Floats, path_m: Floats) -> tuple[float, float]:
     """Variance of a pose, and variance a metre, by the scatter of steps and of their neighbours."""
     spread = float(np.median(np.abs(r))) / 0.6745
     core = np.clip(r, -MAX_SIGMAS * spread, MAX_SIGMAS * spread) if spread else r
     core = core - core.mean()
     variance = float(core @ core) / len(core)
     pose_variance = min(max(-float(core[1:] @ core[:-1]) / (len(core) - 1), 1e-3 * variance), 0.5 * variance)
-    path_noise = max(variance - 2.0 * pose_variance, 1e-3 * variance) / max(float(way.mean()), 1e-12)
+    path_noise = max(variance - 2.0 * pose_variance, 1e-3 * variance) / max(float(path_m.mean()), 1e-12)
     return max(pose_variance, 1e-16), max(path_noise, 1e-12)

@@ -133,7 +133,7 @@ def _judge(
             if answer.frames or answer.reported:
                 return [verdict.other_settings(config, seen, other.words, answer)]
         return [verdict.silent(kind, config, seen)]
-    return [verdict.stranger(config, seen, isinstance(wire, PortWire))]
+    return [verdict.wrong_device(config, seen, isinstance(wire, PortWire))]
 
 
 def _other_bauds(kind: SensorKind, config: Any) -> list[int]:

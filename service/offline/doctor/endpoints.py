@@ -1,4 +1,4 @@
-"""The endpoints of Zenoh, page and Foxglove: free, held by the running service, or taken."""
+"""The endpoints of Zenoh, page and Foxglove: free, in use by the running service, or taken."""
 
 import errno
 import re

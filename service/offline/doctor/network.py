@@ -67,7 +67,7 @@ def look_at_route(machine: Machine, who: str, address: str) -> Finding | None:
     if machine.text(f"/sys/class/net/{route.interface}/carrier") == "0":
         return fault(
             who,
-            f"the way to {address} is {route.interface}, and nothing is plugged in there (no carrier)",
+            f"the route to {address} is {route.interface}, and nothing is plugged in there (no carrier)",
             "a link",
             "look at the cable, the switch and the device's supply",
         )
@@ -109,13 +109,13 @@ def _no_host_there(machine: Machine, who: str, address: str, port: int) -> Findi
     if route is not None and route.gateway:
         return fault(
             who,
-            f"no answer from {address}; the way there leads over {route.interface} and the gateway "
+            f"no answer from {address}; the route leads over {route.interface} and the gateway "
             f"{route.gateway}, for {_own_nets(machine)}",
             "an interface in the device's own net",
             _new_address(address),
         )
     on = f" on {route.interface}" if route else ""
-    if _is_nobody(machine, address):
+    if _is_unanswered(machine, address):
         measured = f"no machine has the address {address}{on} (no answer to ARP)"
     else:
         measured = f"no answer from {address} at port {port}{on}"
@@ -133,8 +133,8 @@ def errno_of(error: Exception) -> int | None:
     return cause.errno if isinstance(cause, OSError) else None
 
 
-def _is_nobody(machine: Machine, address: str) -> bool:
-    """Whether the kernel has asked for it by ARP, and nobody has answered."""
+def _is_unanswered(machine: Machine, address: str) -> bool:
+    """Whether the kernel has requested it by ARP, without an answer."""
     entries = [line.split() for line in machine.text("/proc/net/arp").splitlines()[1:]]
     return any(entry[0] == address and not int(entry[2], 16) & _ARP_COMPLETE for entry in entries)
 

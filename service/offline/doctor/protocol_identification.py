@@ -11,7 +11,7 @@ SHOWN_BYTES = 16
 SHOWN_CHARS = 48
 TEXT_SHARE = 0.85
 
-_STRANGERS = (
+_OTHERS = (
     (rb"HTTP/\d\.\d \d{3}[^\r\n]{0,40}", "a web server"),
     (rb"(?i)^\s*<!doctype html|^\s*<html", "a web server"),
     (rb"^SSH-[\d.]+-[^\r\n]{0,40}", "an SSH server"),
@@ -33,9 +33,9 @@ def recognise_sensor(data: bytes, kind: str = "") -> str:
     return ""
 
 
-def recognise_stranger(data: bytes) -> str:
+def recognise_other(data: bytes) -> str:
     """A known program or device that is no sensor of ours, with the text it sent; "" where it is unknown."""
-    for pattern, words in _STRANGERS:
+    for pattern, words in _OTHERS:
         if found := re.search(pattern, data):
             shown = _shown(found.group())
             return f'{words} ("{shown}")' if shown else words
@@ -44,7 +44,7 @@ def recognise_stranger(data: bytes) -> str:
 
 def describe(data: bytes) -> str:
     """The first bytes as text; `data` is not empty."""
-    known = recognise_sensor(data) or recognise_stranger(data)
+    known = recognise_sensor(data) or recognise_other(data)
     if known:
         return known
     if is_text(data):

@@ -115,7 +115,7 @@ def busy_finding(who: str, device: str, others: list[Process]) -> Finding:
         return fault(
             who,
             f"{device} is held by another user's process, which only root sees",
-            "nobody else on the port: two readers steal each other's bytes",
+            "no other program on the port: two readers steal each other's bytes",
             f"sudo fuser -v {device} says who it is; stop that program",
         )
     if any(process.name == "ModemManager" for process in others):
@@ -128,7 +128,7 @@ def busy_finding(who: str, device: str, others: list[Process]) -> Finding:
     return fault(
         who,
         f"{device} is held by {owners}",
-        "nobody else on the port: two readers steal each other's bytes",
+        "no other program on the port: two readers steal each other's bytes",
         remedy,
     )
 

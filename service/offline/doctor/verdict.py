@@ -1,4 +1,4 @@
-"""From what a probe saw to findings: one function for each way a device can fail, one for success."""
+"""From what a probe saw to findings: one function for each failure of a device, one for success."""
 
 import errno
 from typing import Any
@@ -13,8 +13,8 @@ from service.offline.doctor.probe import Probe
 from service.offline.doctor.protocol_identification import (
     describe,
     is_text,
+    recognise_other,
     recognise_sensor,
-    recognise_stranger,
 )
 
 RATE_SHARE = 0.95  # of the configured rate; motors turn up to 1 % slower than stated
@@ -81,7 +81,7 @@ def _slow_rate(kind: SensorKind, config: Any, seen: Probe) -> Finding | None:
     if made_hz is not None and made_hz < RATE_SHARE * wanted_hz and not seen.losses:
         remedy = "the device is slower than the config: has another program set it, can this type do it?"
     else:
-        remedy = "frames are lost on the way: look at the cable, the network's load, and this machine's"
+        remedy = "frames are lost in transit: look at the cable, the network's load, and this machine's"
     measured = f"{counted(seen.frames, 'frame')}, then none" if rate_hz is None else f"{rate_hz:.1f} frames/s"
     return fault(config.name, measured, f"{wanted_hz:g} frames/s as configured", remedy)
 
@@ -148,8 +148,8 @@ def wrong_baud(config: Any, seen: Probe, baud: int, words: str) -> Finding:
     )
 
 
-def stranger(config: Any, seen: Probe, is_serial: bool) -> Finding:
-    """Bytes come, and not from a device of this type."""
+def wrong_device(config: Any, seen: Probe, is_serial: bool) -> Finding:
+    """The bytes received are not of a device of this type."""
     heard = bytes(seen.first_bytes)
     words = describe(heard)
     expected = f"messages of a {config.type}"
@@ -157,7 +157,7 @@ def stranger(config: Any, seen: Probe, is_serial: bool) -> Finding:
         return fault(
             config.name, f"{words} answers here", expected, "wrong `type`, or two sensors' wires are swapped"
         )
-    if recognise_stranger(heard) or is_text(heard) or not is_serial:
+    if recognise_other(heard) or is_text(heard) or not is_serial:
         where = "device" if is_serial else "host and port"
         return fault(config.name, f"wrong protocol: {words}", expected, f"is {where} right? {_page(config)}")
     baud = getattr(config, "baud", None)

@@ -31,8 +31,8 @@ def write_svg(path: Path, picture: Picture, poses: Sequence[SE2], reference: Geo
     Raises OSError.
     """
     walls = outlines(picture)
-    way = np.array([(pose.x_m, pose.y_m) for pose in poses]).reshape(-1, 2)
-    points = np.vstack([*walls, way, np.zeros((1, 2))])
+    driven = np.array([(pose.x_m, pose.y_m) for pose in poses]).reshape(-1, 2)
+    points = np.vstack([*walls, driven, np.zeros((1, 2))])
     low, high = points.min(axis=0), points.max(axis=0)
     margin = MARGIN * float((high - low).max()) + 0.5
     low, high = low - margin, high + margin
@@ -44,7 +44,7 @@ def write_svg(path: Path, picture: Picture, poses: Sequence[SE2], reference: Geo
     foot = height - margin / 2.0
     arrow = (width - margin / 2.0 - text_m, margin / 2.0 + 2.0 * text_m)
     turn_deg = math.degrees(reference.pose_enu_map.theta_rad) if reference is not None else 0.0
-    drawn = [
+    elements = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width * MM_A_METRE:.1f}mm" '
         f'height="{height * MM_A_METRE:.1f}mm" viewBox="0 0 {width:.4f} {height:.4f}" '
@@ -53,10 +53,10 @@ def write_svg(path: Path, picture: Picture, poses: Sequence[SE2], reference: Geo
         f'<rect width="{width:.4f}" height="{height:.4f}" fill="white"/>',
         f'<path id="walls" fill="black" fill-rule="evenodd" stroke="none" d="{_paths(walls, low, high)}"/>',
     ]
-    if len(way) > 1:
-        line = " ".join(f"{x:.3f},{y:.3f}" for x, y in _svg(way, low, high))
-        drawn.append(f'<polyline id="trajectory" fill="none" stroke="#1f6fb4" points="{line}"/>')
-    drawn += [
+    if len(driven) > 1:
+        line = " ".join(f"{x:.3f},{y:.3f}" for x, y in _svg(driven, low, high))
+        elements.append(f'<polyline id="trajectory" fill="none" stroke="#1f6fb4" points="{line}"/>')
+    elements += [
         f'<path id="origin" stroke="#c03028" d="M{origin[0]:.3f} {origin[1]:.3f}h{text_m:.3f}'
         f'M{origin[0]:.3f} {origin[1]:.3f}v{-text_m:.3f}"/>',
         f'<text x="{origin[0] + line_m:.3f}" y="{origin[1] + text_m:.3f}" fill="#c03028">0</text>',
@@ -68,7 +68,7 @@ def write_svg(path: Path, picture: Picture, poses: Sequence[SE2], reference: Geo
         f"{'N' if reference is not None else 'y'}</text></g>",
         "</svg>",
     ]
-    path.write_text("\n".join(drawn) + "\n", encoding="utf-8")
+    path.write_text("\n".join(elements) + "\n", encoding="utf-8")
 
 
 def write_dxf(path: Path, picture: Picture, poses: Sequence[SE2]) -> None:
@@ -88,8 +88,8 @@ def write_dxf(path: Path, picture: Picture, poses: Sequence[SE2]) -> None:
     for wall in outlines(picture):
         space.add_lwpolyline(wall.tolist(), close=True, dxfattribs={"layer": "WALLS"})
     if len(poses) > 1:
-        way = [(pose.x_m, pose.y_m) for pose in poses]
-        space.add_lwpolyline(way, dxfattribs={"layer": "TRAJECTORY"})
+        driven = [(pose.x_m, pose.y_m) for pose in poses]
+        space.add_lwpolyline(driven, dxfattribs={"layer": "TRAJECTORY"})
     space.add_line((0.0, 0.0), (1.0, 0.0), dxfattribs={"layer": "ORIGIN"})
     space.add_line((0.0, 0.0), (0.0, 1.0), dxfattribs={"layer": "ORIGIN"})
     document.saveas(path)

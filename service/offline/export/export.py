@@ -201,9 +201,9 @@ class _Session:
 
     def _messages(self, name: str, type_name: str) -> Iterator[Message]:
         if not self._holds(name, type_name):
-            held = ", ".join(map(str, self._recording.topics)) or "nothing"
+            topics = ", ".join(map(str, self._recording.topics)) or "nothing"
             raise InputError(
-                f"{self._source}: no {name} ({type_name}) in it; it holds {held}. "
+                f"{self._source}: no {name} ({type_name}) in it; it holds {topics}. "
                 f"Map it first: corridor replay {self._source} --out DIR, then export DIR"
             )
         return self._recording.messages([name])

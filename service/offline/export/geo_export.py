@@ -63,9 +63,11 @@ def write_geojson(path: Path, poses: Poses, walls: Sequence[Points], reference: 
             "yaw_sigma_deg": round(math.degrees(reference.yaw_sigma_rad), 4),
             "fixes": reference.fixes,
         }
-        way = _cut(_coordinates(poses, reference))
-        one = len(way) == 1
-        features.append(_feature("LineString" if one else "MultiLineString", way[0] if one else way, about))
+        driven = _cut(_coordinates(poses, reference))
+        one = len(driven) == 1
+        features.append(
+            _feature("LineString" if one else "MultiLineString", driven[0] if one else driven, about)
+        )
     if walls:
         rings = [
             [_longitude_latitude(x, y, reference) for x, y in [*wall.tolist(), wall[0].tolist()]]

@@ -63,9 +63,9 @@ def _walk(
     loop, here, direction = [], start, (0, 0)
     while True:
         loop.append(here)
-        ways = follows[here]
+        nexts = follows[here]
         left = (here[0] - direction[1], here[1] + direction[0])
-        next_ = ways.pop(ways.index(left) if left in ways else 0)
+        next_ = nexts.pop(nexts.index(left) if left in nexts else 0)
         direction = (next_[0] - here[0], next_[1] - here[1])
         here = next_
         if here == start:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 PATH_M, GRAPH_M = 0.03, 0.02  # radii of lines
 PATH_Z_M, GRAPH_Z_M = 0.02, 0.04  # above the map, or they would flicker
 PATH_COLOUR = (15, 118, 110)
-WAY_COLOUR, LOOP_COLOUR, REFUSED_COLOUR, BORDER_COLOUR = (
+KEYFRAMES_COLOUR, LOOP_COLOUR, REFUSED_COLOUR, BORDER_COLOUR = (
     (29, 78, 216),
     (21, 128, 61),
     (179, 38, 30),
@@ -87,15 +87,15 @@ def _log_graph(stream: "rr.RecordingStream", graph: GraphPicture) -> None:
 
     closed = [np.concatenate((border, border[:1])) for border in graph.borders]
     for name, lines, colour in (
-        ("key_frames", graph.paths, WAY_COLOUR),
+        ("key_frames", graph.paths, KEYFRAMES_COLOUR),
         ("loops", graph.accepted, LOOP_COLOUR),
         ("refused_loops", graph.refused, REFUSED_COLOUR),
         ("sub_maps", closed, BORDER_COLOUR),
     ):
         strips = [_raised(line, GRAPH_Z_M) for line in lines]
         if strips:
-            drawn = rr.LineStrips3D(strips, radii=GRAPH_M, colors=[colour] * len(strips))
-            stream.log(f"map/graph/{name}", drawn, static=True)
+            strips_3d = rr.LineStrips3D(strips, radii=GRAPH_M, colors=[colour] * len(strips))
+            stream.log(f"map/graph/{name}", strips_3d, static=True)
 
 
 def _log_path(stream: "rr.RecordingStream", read: Trajectory) -> None:

@@ -29,13 +29,13 @@ def disagreeing_passes(graph: SavedGraph) -> list[dict[str, Any]]:
     x_m, y_m      of the later key frame; apart_m, apart_deg: between the map and the alignment
     on_map        share of the points of the later pass that lie on the earlier one
     """
-    refused, way = graph.refused, graph.path_length_m[graph.refused.ends]
+    refused, end_m = graph.refused, graph.path_length_m[graph.refused.ends]
     apart_m, apart_rad = residuals(graph.map, refused.ends, refused.measured)
     disagrees = ((apart_m > AGREE_M) | (apart_rad > AGREE_RAD)) & np.isin(refused.reason, _FITS)
     proposed: list[int] = []
     reported: list[dict[str, Any]] = []
     for k in np.argsort(-refused.score, kind="stable").tolist():
-        if not disagrees[k] or (np.abs(way[proposed] - way[k]).max(axis=1) <= WITHIN_M).any():
+        if not disagrees[k] or (np.abs(end_m[proposed] - end_m[k]).max(axis=1) <= WITHIN_M).any():
             continue
         earlier, later = refused.ends[k].tolist()
         if not len(points := _points(graph, earlier, later, refused.measured[k])):

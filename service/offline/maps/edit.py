@@ -74,7 +74,7 @@ def edit_map(
     is not current any more, StorageError where the folder cannot be written or a session goes on in the map;
     then nothing is changed.
     """
-    with _held(folder):
+    with _in_use(folder):
         before = load_map(folder)
         _refuse_if_overtaken(folder, before.number, seen)
         try:
@@ -100,7 +100,7 @@ def undo(folder: Path, to: int | None, who: str, now_ns: int, seen: int | None =
 
     Raises InputError where there is nothing to go back to, OvertakenError and StorageError as edit_map.
     """
-    with _held(folder):
+    with _in_use(folder):
         versions, current, _ = versions_of(folder)
         _refuse_if_overtaken(folder, current, seen)
         if to is None:
@@ -114,8 +114,8 @@ def undo(folder: Path, to: int | None, who: str, now_ns: int, seen: int | None =
     return {"map": str(folder), "version": number, "version_before": current, "done": words}
 
 
-def _held(folder: Path) -> InUse:
-    """Raises InputError where `folder` holds no map: nothing is written there then; StorageError as InUse."""
+def _in_use(folder: Path) -> InUse:
+    """Raises InputError where `folder` has no map: nothing is written there then; StorageError as InUse."""
     if not is_map_folder(folder):
         load_map(folder)  # it gives the reason
     return InUse(folder, "corridor map edit")

@@ -174,7 +174,7 @@ class ReplayPage(PastPage, Watch):
         self._picture_due_s = now_s + PICTURE_S
         if self._output is None:
             return
-        self.server.put_way(np.array(self._path, np.float32).reshape(-1, 2))
+        self.server.put_stretch(np.array(self._path, np.float32).reshape(-1, 2))
         self._path.clear()
         for scan in self._scans.values():
             self.server.put(encoding.encode_frame(scan, log_ns=self._log_ns))

@@ -109,7 +109,7 @@ def _tell(path: Path, remade: Mapping[str, Remade]) -> None:
         log.info("%s: %s", name, asdict(made))
         if made.requests_not_repeated:
             log.warning(
-                "%s: today's driver sends where that of the recording did not, or the other way round, "
+                "%s: today's driver sends where that of the recording did not, or vice versa, "
                 "%d times; its frames may differ from the recorded ones",
                 name,
                 made.requests_not_repeated,

@@ -101,7 +101,7 @@ def write_replay(done: Replay, out: Path, extras: Collection[Extra] = ()) -> Non
 
 
 def remains_in(out: Path) -> list[Path]:
-    """Files and folders of an earlier result in a folder, or at a URL, that not every replay writes anew."""
+    """Files and folders of an earlier result in a folder, or at a URL, that not every replay writes again."""
     names = [DONE_FILE, GRAPH_FILE, GEO_FILE, "map.pgw", "map.png.aux.xml", CHANGES_FILE, RESULT_SESSION]
     names += [REPORT_FILE, UNEDITED, *([MAP_FOLDER] if is_map_folder(out / MAP_FOLDER) else [])]
     return [out / name for name in names if (out / name).exists()]

@@ -149,9 +149,13 @@ def row(
     return tag("div", head, tag("div", content, class_="plot"), class_=f"row {kind}".rstrip())
 
 
-def canvas(*drawn: object) -> Markup:
+def canvas(*elements: object) -> Markup:
     return tag(
-        "svg", drawn, view_box=f"0 0 {COLUMNS} {HEIGHT:g}", preserve_aspect_ratio="none", aria_hidden="true"
+        "svg",
+        elements,
+        view_box=f"0 0 {COLUMNS} {HEIGHT:g}",
+        preserve_aspect_ratio="none",
+        aria_hidden="true",
     )
 
 
@@ -195,15 +199,15 @@ def _lines(
     at = column[begins]
     most = max(3.0 * float(np.median(np.diff(at))), 4.0) if len(at) > 1 else 1.0
     breaks = np.flatnonzero(np.diff(at) > most) + 1
-    drawn = [tag("path", class_="grid", d=axis.grid() + scale.grid())]
+    elements = [tag("path", class_="grid", d=axis.grid() + scale.grid())]
     for name, values in lines.items():
         y = scale.y(worst.reduceat(values, begins))  # type: ignore[attr-defined]  # of a ufunc
         for stretch in np.split(np.column_stack((at + 0.5, y)), breaks):
             if len(stretch) == 1:
                 stretch = np.vstack((stretch, stretch + np.array([1.0, 0.0])))
             points = " ".join(f"{x:.1f},{of:.2f}" for x, of in stretch.tolist())
-            drawn.append(tag("polyline", class_=f"line {name}", points=points))
-    return canvas(drawn)
+            elements.append(tag("polyline", class_=f"line {name}", points=points))
+    return canvas(elements)
 
 
 def _loops_row(axis: TimeAxis, loops: Sequence[Loop]) -> Markup:

@@ -108,22 +108,22 @@ def _path(states: States, trajectory: Trajectory, frame: _Frame) -> Markup:
     at = frame.at(poses)
     row_of = np.searchsorted(states.stamp_ns, trajectory.stamp_ns).clip(0, len(states.stamp_ns) - 1)
     classes = np.digitize(states.sigma[row_of, :2].max(axis=1), CLASSES_M)  # the worse direction
-    drawn = []
+    elements = []
     for state in ("degraded", "lost"):
         is_so = (np.array(states.state) == state)[row_of]
-        drawn += [
+        elements += [
             tag("polyline", class_=f"halo {state}", points=_points(at[begin:end]))
             for begin, end in _runs(is_so)
         ]
     worst = np.maximum.reduceat(classes, rows)  # between two points that are plotted, the worst counts
     for begin, end in _stretches(worst):
         points = _points(at[rows[begin : min(end, len(rows) - 1) + 1]])
-        drawn.append(tag("polyline", class_=f"way s{worst[begin]}", points=points))
+        elements.append(tag("polyline", class_=f"path s{worst[begin]}", points=points))
     for name, place in (("begin", at[0]), ("end", at[-1])):
-        drawn.append(
+        elements.append(
             tag("path", tag("title", name), class_=f"mark {name}", d=f"M{place[0]:.3f} {place[1]:.3f}h0")
         )
-    return joined(drawn)
+    return joined(elements)
 
 
 def _runs(is_so: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
@@ -192,7 +192,7 @@ def _legend(content: Content) -> Markup:
         ends = ["0", *(f"{100 * end:g}" for end in CLASSES_M)]
         words = [f"{low} to {high} cm" for low, high in pairwise(ends)]
         words = [f"below {ends[1]} cm", *words[1:], f"above {ends[-1]} cm"]
-        entries += [_entry(f"way s{k}", text) for k, text in enumerate(words)]
+        entries += [_entry(f"path s{k}", text) for k, text in enumerate(words)]
         entries += [_entry("halo degraded", "degraded"), _entry("halo lost", "lost")]
         entries += [_entry("mark begin", "begin"), _entry("mark end", "end")]
     if any(not loop.why_not for loop in content.loops or ()):
@@ -201,7 +201,7 @@ def _legend(content: Content) -> Markup:
 
 
 def _entry(name: str, text: str) -> Markup:
-    is_line = name.startswith(("way", "halo"))
+    is_line = name.startswith(("path", "halo"))
     line = tag("svg", tag("path", class_=name, d="M0 7h26" if is_line else "M13 7h0"), view_box="0 0 26 14")
     return tag("span", line, text, class_="entry")
 

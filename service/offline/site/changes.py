@@ -129,24 +129,24 @@ class Layers:
                 span = int(spans[:, 0].min()), int(spans[:, 1].max())
                 self.changes.append(Change(cells, is_new, span, session))
         for tile, evidence in _tiles(seen).items():
-            held = self._evidence.setdefault(tile, np.zeros_like(evidence))
+            kept = self._evidence.setdefault(tile, np.zeros_like(evidence))
             first, last = self._sessions.setdefault(tile, np.full((2, *evidence.shape), session, np.int16))
             is_sure = (evidence <= FREE) | (evidence >= OCCUPIED)
-            first[is_sure & (np.sign(held) != np.sign(evidence))] = session
+            first[is_sure & (np.sign(kept) != np.sign(evidence))] = session
             last[is_sure] = session
-            is_taken = is_sure | (held == 0)
-            held[is_taken] = evidence[is_taken]
+            is_taken = is_sure | (kept == 0)
+            kept[is_taken] = evidence[is_taken]
 
     def newest(self, shown: RenderedMap) -> RenderedMap:
         """A map rendered from all sessions with the newest state in the cells that changed: older sessions
         may have been rendered last, or more often.
         """
         evidence = shown.evidence.copy()
-        drawn = _tiles(replace(shown, evidence=evidence))
+        by_tile = _tiles(replace(shown, evidence=evidence))
         for change in self.changes:
             for tile, row, column in _at(change.cells):
-                if tile in drawn:
-                    drawn[tile][row, column] = self._evidence[tile][row, column]
+                if tile in by_tile:
+                    by_tile[tile][row, column] = self._evidence[tile][row, column]
         return replace(shown, evidence=evidence)
 
     def _places(self, groups: Sequence[Cells], least: int) -> set[int]:

@@ -4,7 +4,7 @@ import { byId, onClick, setPressed, setText } from "./dom.js";
 import { decode } from "./protocol.js";
 import { TileMap } from "./tiles.js";
 
-/** The map before the newest change, drawn in place of the map as it is. */
+/** The map before the newest change, shown in place of the map as it is. */
 export class BeforeAfter {
   constructor(view) {
     this.view = view;

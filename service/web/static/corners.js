@@ -27,7 +27,7 @@ const wallOf = (points) => {
   for (let i = 0; i < points.length; i += 1) {
     for (let j = i + 1; j < points.length; j += 1) {
       const [x, y] = points[i], length = distance(points[i], points[j]);
-      if (length < 2 * OFF_WALL_M) continue; // says nothing of the direction
+      if (length < 2 * OFF_WALL_M) continue; // too short for a direction
       const line = { x, y, dx: (points[j][0] - x) / length, dy: (points[j][1] - y) / length };
       const on = points.filter((point) => offLine(line, point) < OFF_WALL_M);
       if (on.length > best.length) best = on;

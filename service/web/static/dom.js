@@ -113,7 +113,7 @@ export const noticeOf = (name, answer, done) => {
 let answered = Promise.resolve();
 
 /** Ask before something happens; resolves to true or false, or, where a name is to be changed, to the new one;
- * where there is another way to do it, `other`, to "other" for that.
+ * with an alternative, `other`, to "other" for that.
  * A question waits for the answer to the one before: `close` comes some time after the dialog has closed. */
 export const confirmed = (...question) => (answered = answered.then(() => ask(...question)));
 

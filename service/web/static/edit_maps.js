@@ -73,8 +73,8 @@ export class Keyframes {
     const { count = 0, every = 1, x_m = [], y_m = [], at_s = [] } = answer ?? {};
     Object.assign(this, { count, every, at_s });
     this.points = x_m.map((x, i) => [x, y_m[i]]);
-    this.way_m = [];
-    this.points.forEach((point, i) => this.way_m.push(i ? this.way_m[i - 1] + distance(point, this.points[i - 1]) : 0));
+    this.path_m = [];
+    this.points.forEach((point, i) => this.path_m.push(i ? this.path_m[i - 1] + distance(point, this.points[i - 1]) : 0));
   }
 
   at(k) {
@@ -94,15 +94,15 @@ export class Keyframes {
     return this.#least((_, i) => Math.abs(this.at_s[i] - at_s));
   }
 
-  /** Number of the key frame that is drawn nearest to a point of the screen; null where none is within some pixels. */
+  /** Number of the key frame that is nearest to a point of the screen; null where none is within some pixels. */
   nearest(camera, point, pixels) {
     return this.#least((at) => distance(camera.toScreen(...at), point), pixels);
   }
 
   /** The key frame nearest to k that was driven in another pass; null where there is only one. */
   otherPass(k) {
-    const way_m = this.way_m[this.#index(k)], here = this.at(k);
-    return this.#least((at, i) => (Math.abs(this.way_m[i] - way_m) < PATH_APART_M ? Infinity : distance(at, here)));
+    const path_m = this.path_m[this.#index(k)], here = this.at(k);
+    return this.#least((at, i) => (Math.abs(this.path_m[i] - path_m) < PATH_APART_M ? Infinity : distance(at, here)));
   }
 
   draw(context, camera, colour) {

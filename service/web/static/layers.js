@@ -12,9 +12,9 @@ const MIN_PIXELS = 2; // a changed cell can be seen from far away
 
 /** The pose graph: key frames along the path, loops between them, borders of sub-maps. */
 export class GraphLayer {
-  constructor({ ways = [], borders = [], accepted = [], refused = [] } = {}) {
+  constructor({ paths = [], borders = [], accepted = [], refused = [] } = {}) {
     const loops = (ends) => Array.from({ length: ends.length / 4 }, (_, i) => pointsOf(ends.slice(4 * i, 4 * i + 4)));
-    this.lines = { borders: borders.map(pointsOf), keyFrames: ways.map(pointsOf), refused: loops(refused), accepted: loops(accepted) };
+    this.lines = { borders: borders.map(pointsOf), keyFrames: paths.map(pointsOf), refused: loops(refused), accepted: loops(accepted) };
   }
 
   get counts() {

@@ -35,12 +35,12 @@ export class MapView extends MapCanvas {
   mountings = {};
   overlays = []; // functions(context, camera, colours) of the tools
   before = null; // snapshot of an earlier map
-  showsBefore = false; // ... and whether it is drawn in place of the present one
-  other = null; // {tiles, share}: another version of the map, drawn in that share of the width
+  showsBefore = false; // ... and whether it is shown in place of the present one
+  other = null; // {tiles, share}: another version of the map, shown in that share of the width
   isHeld = false; // a replay that is paused: what came last is of now, however long ago that was
   poseArrived_ms = -Infinity;
   firstMap_ms = null; // when there was a map on the screen, after the page was opened
-  drawn_ms = []; // how long the last pictures took
+  render_ms = []; // how long the last pictures took
 
   constructor(canvas) {
     super(canvas);
@@ -191,8 +191,8 @@ export class MapView extends MapCanvas {
     context.setTransform(dpr, 0, 0, dpr, 0, 0);
     for (const overlay of this.overlays) overlay(context, camera, colours);
     if (tiles.tiles.size > 0) this.firstMap_ms ??= performance.now();
-    this.drawn_ms.push(performance.now() - began_ms);
-    if (this.drawn_ms.length > MAX_TIMES) this.drawn_ms.shift();
+    this.render_ms.push(performance.now() - began_ms);
+    if (this.render_ms.length > MAX_TIMES) this.render_ms.shift();
   }
 
   #drawOther() {

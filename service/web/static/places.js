@@ -1,4 +1,4 @@
-// The two places whose points are said to be the same, and the pane in which place B stands beside place A.
+// The two places whose points are paired, and the pane that shows place B beside place A.
 
 import { MapCanvas } from "./camera.js";
 import { drawCrossHair, FONT, square } from "./canvas.js";

@@ -40,9 +40,9 @@ const decodePath = (view) => ({
 /** Every list of points is flat: [x_m, y_m, x_m, y_m ...]. */
 const decodeGraph = async (view) => {
   const body = await inflated(view, 4);
-  const [ways, borders, accepted, refused] = new Uint32Array(body, 0, 4);
-  const counts = new Uint32Array(body, 16, ways + borders);
-  let at = 16 + 4 * (ways + borders);
+  const [paths, borders, accepted, refused] = new Uint32Array(body, 0, 4);
+  const counts = new Uint32Array(body, 16, paths + borders);
+  let at = 16 + 4 * (paths + borders);
   const points = (count) => {
     const taken = new Float32Array(body, at, 2 * count);
     at += 8 * count;
@@ -50,7 +50,7 @@ const decodeGraph = async (view) => {
   };
   const lines = Array.from(counts, points);
   return {
-    type: "graph", ways: lines.slice(0, ways), borders: lines.slice(ways),
+    type: "graph", paths: lines.slice(0, paths), borders: lines.slice(paths),
     accepted: points(2 * accepted), refused: points(2 * refused),
     evidence: JSON.parse(new TextDecoder().decode(new Uint8Array(body, at))),
   };

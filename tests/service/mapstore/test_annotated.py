@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from service.mapstore.annotated import AXIS_X, AXIS_Y, INK, PALETTE, WAY, annotated, scale_bar_m
+from service.mapstore.annotated import AXIS_X, AXIS_Y, INK, PALETTE, PATH, annotated, scale_bar_m
 from service.mapstore.picture import picture_of_grid
 from service.outputs import FREE, OCCUPIED, UNKNOWN, Grid
 
@@ -45,10 +45,10 @@ def test_the_path_the_origin_and_the_bar_are_where_they_belong(picture):
     other = np.array([(4.0, 2.0), (6.0, 2.0)])
     shown = annotated(picture, [way, other])
     pixels = pixels_of(shown)
-    assert WAY not in pixels[:, at(shown, 1.5, 0.0)[1]][: at(shown, 0.0, -1.5)[0]]  # no line joins the two
+    assert PATH not in pixels[:, at(shown, 1.5, 0.0)[1]][: at(shown, 0.0, -1.5)[0]]  # no line joins the two
     for x_m, y_m in ((-2.0, 1.0), (-2.0, -1.9), (0.0, -2.0), (5.9, -2.0), (5.0, 2.0)):
         row, column = at(shown, x_m, y_m)
-        assert WAY in pixels[row - 1 : row + 2, column - 1 : column + 2]
+        assert PATH in pixels[row - 1 : row + 2, column - 1 : column + 2]
     row, column = at(shown, 0.9, 0.0)
     assert AXIS_X in pixels[row - 1 : row + 2, column]
     row, column = at(shown, 0.0, 0.9)

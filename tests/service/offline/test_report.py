@@ -67,7 +67,7 @@ def test_a_page_shows_map_path_states_sensors_warnings_and_settings(result: Path
     page = page_of(result)
     (image,) = [of for name, of in page.tags if name == "image"]
     assert image["href"].startswith("data:image/png;base64,iVBORw0KGgo")
-    assert page.count("polyline", "way") > 0
+    assert page.count("polyline", "path") > 0
     assert page.count("polyline", "halo") > 0
     assert page.count("rect", "ok") >= 2  # before and after the scans without returns
     assert page.count("rect", "frames") == 2

@@ -268,7 +268,7 @@ class Anchoring:
         self.counts["fixes_contradicting"] = int((~is_near).sum())
         if len(among) < MIN_FIXES:
             return False
-        consensus = find_consensus(self._way(keyframes, covariance, among, enu))
+        consensus = find_consensus(self._fix_path(keyframes, covariance, among, enu))
         accepted = int(consensus.is_accepted.sum())
         self.counts["fixes_contradicting"] += len(among) - accepted
         turned = se2.adjoint(consensus.pose_odom_enu)
@@ -365,7 +365,7 @@ class Anchoring:
         antenna = np.array([fix.antenna_xy_m for fix in fixes])
         return keyframe, se2.points_from(se2.between(keyframes.odom[keyframe], base), antenna)
 
-    def _way(
+    def _fix_path(
         self, keyframes: KeyframeList, covariance: Floats, which: npt.NDArray[np.int64], enu: Floats
     ) -> FixPath:
         keyframe, antenna = self._points(keyframes, which)

@@ -9,7 +9,7 @@ from service.geometry.poses import Floats
 from service.mapper.saved_graph import SavedGraph
 from service.outputs import GraphPicture
 
-MAX_DRAWN = 1000  # key frames, and loops of each kind; of more every second, third ... is shown
+MAX_PLOTTED = 1000  # key frames, and loops of each kind; of more every second, third ... is shown
 PICTURE_GAP_M = 5.0  # path without a key frame: removed ones, or another session
 
 Ints = npt.NDArray[np.int64]
@@ -32,7 +32,7 @@ def draw(
     borders    outlines of sub-maps, (K, 2) m each, map frame
     """
     xy = xy_map.astype(np.float32)
-    every = -(-len(xy) // MAX_DRAWN)
+    every = -(-len(xy) // MAX_PLOTTED)
     paths = []
     for number in np.unique(stretch[stretch >= 0]).tolist():
         members = np.flatnonzero(stretch == number)
@@ -44,7 +44,7 @@ def draw(
         paths,
         _ends(xy, accepted, known),
         _ends(xy, refused, known),
-        [border.astype(np.float32) for border in borders[-MAX_DRAWN:]],
+        [border.astype(np.float32) for border in borders[-MAX_PLOTTED:]],
     )
 
 
@@ -71,6 +71,6 @@ def draw_saved(graph: SavedGraph) -> GraphPicture:
 def _ends(xy: npt.NDArray[np.float32], ends: Ints, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
     ends = ends.reshape(-1, 2)
     ends = ends[known[ends].all(axis=1)]
-    if len(ends) > MAX_DRAWN:
-        ends = ends[np.linspace(0, len(ends) - 1, MAX_DRAWN).round().astype(np.int64)]
+    if len(ends) > MAX_PLOTTED:
+        ends = ends[np.linspace(0, len(ends) - 1, MAX_PLOTTED).round().astype(np.int64)]
     return xy[ends]

@@ -110,13 +110,13 @@ def drift_from(
     steps = odometry_edges(keyframes, step_m).covariance
     turn_rad2 = steps[:, 2, 2]
     away_m = np.hypot(*(keyframes.map[1:, :2] - keyframes.map[k, :2]).T)
-    way_m2 = np.maximum(steps[:, 0, 0], steps[:, 1, 1]) + turn_rad2 * away_m**2
+    position_m2 = np.maximum(steps[:, 0, 0], steps[:, 1, 1]) + turn_rad2 * away_m**2
     of = np.array([loop.of for loop in loops], np.int64)
     to = np.array([loop.to for loop in loops], np.int64)
     length_m, sum_m2, sum_rad2 = np.empty((3, keyframes.count))
     for of_step, of_loop, sums in (
         (np.diff(keyframes.path_length_m), LOOP_M, length_m),
-        (way_m2, 0.0, sum_m2),
+        (position_m2, 0.0, sum_m2),
         (turn_rad2, 0.0, sum_rad2),
     ):
         path_lengths(np.append(of_step, 0.0), of, to, of_loop, k, sums)

@@ -1,7 +1,7 @@
 """Information of a scan on the map, across walls, and by its isolated points.
 
 The map consists of points. Far along a corridor those of one scan are isolated, and the beams of the next
-scan hit the same places. Where the scan is held back on the map, its points meet those of the previous scan:
+scan hit the same places. Where the pose lags behind, its points meet those of the previous scan:
 the gradient along a wall then refers to the previous pose.
 """
 
@@ -47,10 +47,10 @@ def information_across(
     along_x, along_y = (segment != NO_SEGMENT).T
     slopes = values[:, 1:]
     of_segment = slopes * np.stack((along_y, along_x), axis=1)
-    of_piece = np.sum(slopes * across, axis=1)[:, None] * across
-    is_piece = (normals[:, 2] > ROUGH_WEIGHT) & ~(along_x | along_y)
-    of_piece = _without_weak_direction(of_piece * is_piece[:, None], weights)
-    used = np.concatenate((values[:, :1], of_segment + of_piece), axis=1)
+    of_point = np.sum(slopes * across, axis=1)[:, None] * across
+    is_point = (normals[:, 2] > ROUGH_WEIGHT) & ~(along_x | along_y)
+    of_point = _without_weak_direction(of_point * is_point[:, None], weights)
+    used = np.concatenate((values[:, :1], of_segment + of_point), axis=1)
     information = np.empty((3, 3))
     likelihood_normal_equations(points.xy_base, used, weights, pose, information, np.empty(3))
     return information

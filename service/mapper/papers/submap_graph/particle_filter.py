@@ -178,13 +178,13 @@ class ParticleFilter:
         pose[2] = wrap_angle(float(pose[2]))
         log_p_over_q = 0.0
         if config.draw == "around_scan":
-            drawn_from = np.linalg.inv(information_at(*thin, pose, field) + prior)
-            pose += np.linalg.cholesky(drawn_from) @ deviates
+            proposal = np.linalg.inv(information_at(*thin, pose, field) + prior)
+            pose += np.linalg.cholesky(proposal) @ deviates
             pose[2] = wrap_angle(float(pose[2]))
             off = pose - start
             off[2] = wrap_angle(float(off[2]))
             log_p_over_q = 0.5 * float(deviates @ deviates - off @ prior @ off)
-            log_p_over_q += 0.5 * float(np.linalg.slogdet(drawn_from)[1])
+            log_p_over_q += 0.5 * float(np.linalg.slogdet(proposal)[1])
         particle.pose = pose
         log_likelihood, mean = weigh_scan(values_at(thin[0], pose, field), config.likelihood_floor)
         return config.likelihood_gain * log_likelihood + log_p_over_q, float(mean)

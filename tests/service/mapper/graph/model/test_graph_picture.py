@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.mapper.graph.model.graph_picture import MAX_DRAWN, draw, draw_saved, stretches
+from service.mapper.graph.model.graph_picture import MAX_PLOTTED, draw, draw_saved, stretches
 from service.mapper.loop_evidence import RefusedLoops
 from tests.service.mapstore.tile_makers import graph_of
 
@@ -10,13 +10,13 @@ NONE = np.empty((0, 2), np.int64)
 
 
 def test_a_long_path_is_thinned_and_keeps_its_end() -> None:
-    count = 10 * MAX_DRAWN + 1
+    count = 10 * MAX_PLOTTED + 1
     xy = np.column_stack((np.arange(count, dtype=float), np.zeros(count)))
     loops = np.column_stack((np.arange(2000), np.arange(2000) + 3000))
     (path,) = (picture := draw(1, xy, np.zeros(count, np.int64), loops, NONE)).paths
-    assert MAX_DRAWN / 2 < len(path) <= MAX_DRAWN + 1
+    assert MAX_PLOTTED / 2 < len(path) <= MAX_PLOTTED + 1
     assert path[-1].tolist() == [count - 1, 0.0]
-    assert len(picture.accepted) == MAX_DRAWN
+    assert len(picture.accepted) == MAX_PLOTTED
     assert picture.accepted[[0, -1], 0, 0].tolist() == [0.0, 1999.0]
 
 
