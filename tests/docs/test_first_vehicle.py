@@ -52,12 +52,12 @@ def drive(config: Path) -> None:
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as service:
         assert service.stderr is not None
         try:
-            said = []
+            output = []
             for line in service.stderr:
-                said.append(line)
+                output.append(line)
                 if "ready" in line:
                     break
-            assert service.poll() is None, "".join(said)
+            assert service.poll() is None, "".join(output)
             with closing(Subscriber(endpoint)) as subscriber:
                 subscriber.wait_for("pose", SCANS, START_TIMEOUT_S)
             service.send_signal(2)
@@ -84,12 +84,12 @@ def test_the_page_leads_from_the_wires_to_a_map_for_nav2(vehicle, tmp_path, caps
         }
         command = [here.get(word, word) for word in words]
         code = main(command)
-        said = capsys.readouterr()
+        output = capsys.readouterr()
         if words[0] == "doctor":  # on a busy machine it finds fault, with the rates of the devices, too
-            streaming = [line.split()[:2] for line in said.out.splitlines() if " streams: " in line]
+            streaming = [line.split()[:2] for line in output.out.splitlines() if " streams: " in line]
             assert streaming == [["ok", "front"], ["ok", "base"]]
         else:
-            assert code == 0, f"{command}: {said.out}{said.err}"
+            assert code == 0, f"{command}: {output.out}{output.err}"
         if words[0] == "init":
             assert "Rename the laser to where it sits, `front`" in (ROOT / PAGE).read_text()
             config = tmp_path / "vehicle.yaml"

@@ -56,7 +56,7 @@ def test_each_command_can_be_called_so(block):
                 made = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
                 assert made.returncode == 0, made.stderr
             case other:
-                assert other in OF_THE_SYSTEM, f"{other}: nobody can say whether this can be run"
+                assert other in OF_THE_SYSTEM, f"{other}: no test says whether this can be run"
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""YAML blocks: whole configs, pieces of one put into a whole one, and files of faults."""
+"""YAML blocks: whole configs, parts of one in a whole one, and files of faults."""
 
 import pytest
 import yaml
@@ -22,10 +22,10 @@ WHOLE = {
 
 @pytest.mark.parametrize("block", YAML, ids=map(str, YAML))
 def test_a_config_or_a_part_of_one_is_accepted(block):
-    piece = yaml.safe_load(block.text)
-    if "faults" in piece:
+    part = yaml.safe_load(block.text)
+    if "faults" in part:
         assert parse_faults(block.text, str(block), DEVICES)
-    elif "vehicle" in piece:
+    elif "vehicle" in part:
         parse_config(block.text, str(block))
     else:
-        parse_config(yaml.safe_dump(WHOLE | piece), str(block))
+        parse_config(yaml.safe_dump(WHOLE | part), str(block))

@@ -1,4 +1,4 @@
-"""A table for tests: a session and a fake robot, face to face, and time passed by hand."""
+"""A session and a fake robot in virtual time."""
 
 import itertools
 import math
@@ -24,7 +24,7 @@ class Curve:
         self.speed, self.turn, self.half_m = speed_mps, turn_radps, base_m / 2
 
     def motion(self, time_s: float) -> tuple[float, float]:
-        """Way and heading since the start."""
+        """Path length, m, and heading, rad, since the start."""
         return self.speed * time_s, self.turn * (1.0 - math.cos(0.7 * time_s)) / 0.7
 
     def wheel_travel_m(self, now_ns: int) -> tuple[float, float]:
@@ -34,10 +34,10 @@ class Curve:
     def pose_between(self, from_ns: int, to_ns: int) -> tuple[float, float, float]:
         """True pose at the later moment in the frame of the earlier, by small steps."""
         times_s = np.linspace(from_ns / S, to_ns / S, 20_001)
-        ways, headings = np.array([self.motion(float(t)) for t in times_s]).T
+        paths_m, headings = np.array([self.motion(float(t)) for t in times_s]).T
         headings -= headings[0]
         middle = 0.5 * (headings[1:] + headings[:-1])
-        steps = np.diff(ways)
+        steps = np.diff(paths_m)
         return float(steps @ np.cos(middle)), float(steps @ np.sin(middle)), float(headings[-1])
 
 
@@ -45,7 +45,7 @@ STANDING = Curve(0.0, 0.0)
 
 
 class Bench:
-    """A session and a fake robot on a table: time is passed by hand, in steps of 1 ms."""
+    """A session and a fake robot in virtual time, in steps of 1 ms."""
 
     def __init__(
         self,

@@ -57,7 +57,7 @@ def config(**changes: object) -> XsensMtigConfig:
 def talk(
     unit: FakeDevice | None = None, delay_ns: Callable[[], int] | None = None, **changes: object
 ) -> Talk:
-    """A session that has been connected to a fake device; nothing has been said yet."""
+    """A session that has been connected to a fake device, before the first message."""
     made = Talk(XsensMtigSession(config(**changes)), unit or FakeMtiG(Swing()), ZERO_NS)
     if delay_ns is not None:
         made.delay_ns = delay_ns

@@ -44,15 +44,15 @@ def advice(kind: str) -> Any:
     return SENSOR_KINDS[kind].advice
 
 
-@pytest.mark.parametrize(("kind", "said", "words"), VOICES)
-def test_each_device_is_known_by_its_own_driver_alone(kind: str, said: bytes, words: str):
-    heard = {other: advice(other).recognise(b"garbage" + said) for other in KINDS}
-    assert heard == dict.fromkeys(KINDS, "") | {kind: words}
+@pytest.mark.parametrize(("kind", "sent", "words"), VOICES)
+def test_each_device_is_known_by_its_own_driver_alone(kind: str, sent: bytes, words: str):
+    recognised = {other: advice(other).recognise(b"garbage" + sent) for other in KINDS}
+    assert recognised == dict.fromkeys(KINDS, "") | {kind: words}
 
 
-@pytest.mark.parametrize("said", [b"", b"HTTP/1.1 200 OK\r\n\r\n", b"QT\n00Q\n\n", b"\n" * 16_384, FRAME])
-def test_what_is_no_device_or_may_be_chance_is_known_by_none(said: bytes):
-    assert not any(advice(kind).recognise(said) for kind in KINDS)
+@pytest.mark.parametrize("sent", [b"", b"HTTP/1.1 200 OK\r\n\r\n", b"QT\n00Q\n\n", b"\n" * 16_384, FRAME])
+def test_what_is_no_device_or_may_be_chance_is_known_by_none(sent: bytes):
+    assert not any(advice(kind).recognise(sent) for kind in KINDS)
 
 
 @pytest.mark.parametrize("kind", KINDS)

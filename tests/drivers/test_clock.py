@@ -111,8 +111,8 @@ def test_messages_out_of_order_or_twice_change_nothing(back):
 
 def test_messages_delayed_by_the_network_are_late_and_no_restart():
     stream = Stream(2)
-    held = (stream.sent_s > 80.0) & (stream.sent_s < 83.0)
-    stream.arrived_s[held] = np.maximum(stream.arrived_s[held], 83.0)
+    delayed = (stream.sent_s > 80.0) & (stream.sent_s < 83.0)
+    stream.arrived_s[delayed] = np.maximum(stream.arrived_s[delayed], 83.0)
     stream.arrived_s = np.maximum.accumulate(stream.arrived_s)
     clock = microseconds()
     error_ms, _ = stream.through(clock)
@@ -159,11 +159,11 @@ def test_asking_before_the_first_message_is_refused():
 def test_how_well_an_offset_is_known_is_reported_in_its_own_standard_deviation():
     """Of exponential lateness the least of n scatters by the mean over n."""
     rng = np.random.default_rng(5)
-    errors_ns, said_ns = [], []
+    errors_ns, sigmas_ns = [], []
     for _ in range(400):
         clock = ClockMap(1_000.0)
         for k in range(8):
             clock.observe(k * 20_000, round(k * 20e6 + rng.exponential(10e6)))
         errors_ns.append(clock.offset_ns)
-        said_ns.append(clock.offset_sigma_ns)
-    assert np.std(errors_ns) == pytest.approx(np.mean(said_ns), rel=0.25)
+        sigmas_ns.append(clock.offset_sigma_ns)
+    assert np.std(errors_ns) == pytest.approx(np.mean(sigmas_ns), rel=0.25)

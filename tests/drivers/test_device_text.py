@@ -6,7 +6,7 @@ from drivers.device_text import MAX_CHARS, one_line
 
 
 @pytest.mark.parametrize(
-    ("said", "shown"),
+    ("sent", "shown"),
     [
         ("  V1.80.2  ", "V1.80.2"),
         ("Größe 1", "Größe 1"),
@@ -16,5 +16,5 @@ from drivers.device_text import MAX_CHARS, one_line
         ("x" * 30_000, "x" * MAX_CHARS),
     ],
 )
-def test_a_text_of_a_device_is_one_plain_line(said: str, shown: str):
-    assert one_line(said) == shown
+def test_a_text_of_a_device_is_one_plain_line(sent: str, shown: str):
+    assert one_line(sent) == shown

@@ -187,7 +187,7 @@ def test_a_usb_unit_left_in_any_state_by_a_dead_client_is_taken_over(cuts, left_
     if left_with.startswith(b"M") and left_with.endswith(b"\n"):
         assert device.next_due_ns(now_ns) is not None  # it streams on
     t.connect().run(4.0)
-    assert t.sent.startswith(b"\n")  # ends what was half said
+    assert t.sent.startswith(b"\n")  # ends a half-sent command
     assert t.session.status == "streaming"
     assert t.session.counters["scans_malformed"] == 0
     assert np.diff([frame.stamp_ns for frame in t.frames]).max() < 26_000_000
@@ -331,11 +331,11 @@ def test_a_damaged_answer_to_the_scan_command_is_asked_for_again():
     answer, damaged = t.device.receive_data, []
 
     def damage_the_first(data, now_ns):
-        said = answer(data, now_ns)
+        answered = answer(data, now_ns)
         if data.startswith(b"MD") and not damaged:
             damaged.append(data)
-            return said.replace(b"\n00", b"\n0~", 1)
-        return said
+            return answered.replace(b"\n00", b"\n0~", 1)
+        return answered
 
     t.device.receive_data = damage_the_first
     t.run(4.0)

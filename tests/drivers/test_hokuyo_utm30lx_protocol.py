@@ -78,8 +78,8 @@ def test_all_habits_of_summing_an_info_line_are_accepted_and_no_other():
 
 
 def test_what_the_device_says_of_itself_is_shown_as_plain_short_text():
-    said = encode_info("II", [("STAT", "bad\x1b[2J\rfront: forged"), ("MODL", "x" * 30_000)])
-    [reply] = ReplyDecoder().receive_data(said)
+    sent = encode_info("II", [("STAT", "bad\x1b[2J\rfront: forged"), ("MODL", "x" * 30_000)])
+    [reply] = ReplyDecoder().receive_data(sent)
     assert read_info(reply) == {"STAT": "bad?[2J?front: forged", "MODL": "x" * 80}
     with pytest.raises(ProtocolError, match="wrong sum") as refused:
         read_info(Reply("VV", "00", b"y" * 30_000 + b"!\n"))
@@ -95,10 +95,10 @@ def test_time_of_a_real_unit_and_a_damaged_one():
 
 
 def test_every_line_of_a_recorded_unit_decodes_and_encodes_to_the_same_bytes(shared):
-    said = b"".join(recorded(shared, "utm_30lx.jsonl"))
+    sent = b"".join(recorded(shared, "utm_30lx.jsonl"))
     decoder = ReplyDecoder()
     encoded = b""
-    for reply in decoder.receive_data(said):
+    for reply in decoder.receive_data(sent):
         if reply.echo in ("VV", "PP", "II"):
             encoded += encode_info(reply.echo, list(read_info(reply).items()))
         elif reply.status == "99":
@@ -111,12 +111,12 @@ def test_every_line_of_a_recorded_unit_decodes_and_encodes_to_the_same_bytes(sha
             encoded += write_scan(scan)
         else:
             encoded += encode_reply(reply.echo, reply.status)
-    assert encoded == said
+    assert encoded == sent
     assert decoder.skipped_bytes == 0
 
 
 def recorded(shared, name):
-    """What the device said, in the pieces it was read in."""
+    """Bytes of the device, as they were read."""
     for line in (shared / "captures" / "hokuyo" / name).read_text().splitlines():
         message = json.loads(line)
         if message["dir"] == "dev":

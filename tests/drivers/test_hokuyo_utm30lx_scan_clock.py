@@ -35,12 +35,12 @@ def test_contradicting_samples_bound_nothing():
 def test_scans_that_are_delayed_and_stamped_in_a_bunch_do_not_shorten_the_period(every):
     """As a unit does that stamps what it sends: eight sweeps of each bunch lie one millisecond apart."""
     clock = ScanClock(25e6, round(DELAY_MS * MS))
-    held_until_ms = last_ms = 0
+    delayed_until_ms = last_ms = 0
     for sweep in range(2000):
         due_ms = 1000 + sweep * 25
         if sweep % every == every - 1:
-            held_until_ms = due_ms + 200
-        last_ms = max(due_ms, held_until_ms, last_ms + 1)
+            delayed_until_ms = due_ms + 200
+        last_ms = max(due_ms, delayed_until_ms, last_ms + 1)
         stamp_ns = clock.stamp(last_ms, round((last_ms + DELAY_MS) * MS))
         assert stamp_ns == pytest.approx(last_ms * MS, abs=MS)
     assert clock.period_ns == pytest.approx(25e6, rel=1e-6)

@@ -1,4 +1,4 @@
-"""What is said to a LUX, by a fake one that answers, refuses, boots, or knows less."""
+"""Start-up with a fake LUX that answers, refuses, boots, or knows fewer commands."""
 
 import pytest
 
@@ -62,8 +62,8 @@ def test_what_differs_is_changed_with_the_scanner_stopped_and_read_back():
     }
     assert sorted(changes(t)) == sorted([Parameter.DATA_OUTPUT, *wanted])
     assert {parameter: t.device.parameter(parameter) for parameter in wanted} == wanted
-    said = codes(t)
-    assert said.index(Command.STOP) < said.index(Command.SET_PARAMETER) < said.index(Command.START)
+    sent = codes(t)
+    assert sent.index(Command.STOP) < sent.index(Command.SET_PARAMETER) < sent.index(Command.START)
     assert t.device.counters["saves"] == 0
     assert len(t.frames) > 80
     assert t.session.counters["scans_not_as_configured"] == 0

@@ -49,7 +49,7 @@ def test_messages_survive_any_cutting_of_the_stream():
     for size in (1, 2, 3, 7, 24, 25, 61):
         decoder = Decoder()
         segments = [stream[i : i + size] for i in range(0, len(stream), size)]
-        assert [m for piece in segments for m in decoder.receive_data(piece)] == whole
+        assert [m for part in segments for m in decoder.receive_data(part)] == whole
         assert decoder.skipped_bytes == decoder.cut_messages == 0
 
 

@@ -109,4 +109,4 @@ def test_create_1_after_a_battery_change_is_started_again():
     assert errors_m_rad(wheels, [before, *samples])[0] < 0.03  # what the robot forgot of a tenth of a second
     assert (
         samples[0].covariance[0] - before.covariance[0] > 0.1
-    )  # it said where it is, but may have lost more
+    )  # its pose is known, but it may have lost more

@@ -131,8 +131,8 @@ def test_damaged_reading_adds_nothing_and_the_path_around_it_is_kept():
         table.session.receive_data(encode_frame(STREAM_IDS, values), table.now_ns + 15 * MS * (i + 1))[0]
         for i, values in enumerate(frames)
     ]
-    ways = [(pose.x_m - before.x_m) / CONFIG.left_m_per_count for pose in poses]
-    assert ways == pytest.approx([10, 10, 30, 40])
+    counts = [(pose.x_m - before.x_m) / CONFIG.left_m_per_count for pose in poses]
+    assert counts == pytest.approx([10, 10, 30, 40])
     assert table.session.counters["encoder_faults"] == 1
 
 

@@ -32,22 +32,22 @@ def by_small_steps(left_m: float, right_m: float, theta_rad: float) -> tuple[flo
     [(0.3, 0.5), (0.5, 0.3), (-0.2, 0.2), (-0.4, -0.1), (0.4, 0.4 + 1e-8), (0.4, 0.4), (0.0, 0.7)],
 )
 def test_arc_agrees_with_a_fine_integration(left_m: float, right_m: float):
-    way = reckoning()
-    way.roll(-0.1, 0.1)
-    start = way.theta_rad
+    odometry = reckoning()
+    odometry.roll(-0.1, 0.1)
+    start = odometry.theta_rad
     expected = by_small_steps(left_m, right_m, start)
-    way.roll(left_m, right_m)
-    assert (way.x_m, way.y_m) == pytest.approx(expected[:2], abs=1e-10)
-    assert math.remainder(way.theta_rad - expected[2], math.tau) == pytest.approx(0.0, abs=1e-12)
+    odometry.roll(left_m, right_m)
+    assert (odometry.x_m, odometry.y_m) == pytest.approx(expected[:2], abs=1e-10)
+    assert math.remainder(odometry.theta_rad - expected[2], math.tau) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_covariance_agrees_with_ten_thousand_noisy_drives():
     variance = 2e-6
     rng = np.random.default_rng(7)
     steps = [(0.010, 0.012)] * 60 + [(0.012, 0.009)] * 60
-    way = reckoning(variance)
+    odometry = reckoning(variance)
     for left_m, right_m in steps:
-        way.roll(left_m, right_m)
+        odometry.roll(left_m, right_m)
     x, y, theta = np.zeros(10_000), np.zeros(10_000), np.zeros(10_000)
     for left_m, right_m in steps:
         left = left_m + rng.normal(0.0, math.sqrt(variance * left_m), x.shape)
@@ -57,16 +57,16 @@ def test_covariance_agrees_with_ten_thousand_noisy_drives():
         y += ds * np.sin(theta + 0.5 * dth)
         theta += dth
     sampled = np.cov(np.vstack([x, y, theta]))
-    claimed = np.array(way.covariance).reshape(3, 3)
+    claimed = np.array(odometry.covariance).reshape(3, 3)
     scale = np.sqrt(np.outer(np.diag(claimed), np.diag(claimed)))
     np.testing.assert_allclose(claimed / scale, sampled / scale, atol=0.05)
 
 
 def test_lost_time_widens_without_moving():
-    way = reckoning()
-    way.roll(0.1, 0.2)
-    pose, before = (way.x_m, way.y_m, way.theta_rad), way.covariance
-    way.lose(0.1)
-    assert (way.x_m, way.y_m, way.theta_rad) == pose
-    assert way.covariance[0] - before[0] == pytest.approx(0.05**2 / 3)
-    assert way.covariance[8] - before[8] == pytest.approx(2 * 0.05**2 / 3 / BASE_M**2)
+    odometry = reckoning()
+    odometry.roll(0.1, 0.2)
+    pose, before = (odometry.x_m, odometry.y_m, odometry.theta_rad), odometry.covariance
+    odometry.lose(0.1)
+    assert (odometry.x_m, odometry.y_m, odometry.theta_rad) == pose
+    assert odometry.covariance[0] - before[0] == pytest.approx(0.05**2 / 3)
+    assert odometry.covariance[8] - before[8] == pytest.approx(2 * 0.05**2 / 3 / BASE_M**2)

@@ -13,9 +13,9 @@ NODE = Node(0, "c0ffee", "corridor")
 
 
 def test_the_attachments_of_ten_thousand_messages_are_those_that_zenoh_serialises_for_rmw():
-    drawn = random.Random(1)
+    noise = random.Random(1)
     for sequence in range(1, 10_001):
-        source_ns, gid = drawn.randrange(2**63), drawn.randbytes(16)
+        source_ns, gid = noise.randrange(2**63), noise.randbytes(16)
         attachment = Attachment(sequence, source_ns, gid)
         expected = ze.z_serialize((ze.Int64(sequence), ze.Int64(source_ns), gid)).to_bytes()
         assert attachment.encode() == expected

@@ -18,7 +18,7 @@ ASCII, BINARY = Dialect.ASCII, Dialect.BINARY
 
 
 def requests(t):
-    """What the session said: kind, name."""
+    """Telegrams sent by the session: kind, name."""
     return [(r.kind, r.name) for r in Decoder().receive_data(bytes(t.sent))]
 
 

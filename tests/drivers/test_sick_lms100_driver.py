@@ -125,12 +125,12 @@ def stale_scan(k):
     return telegram(k, k * 40_000, sent_after_us=3_100, frequency_chz=2500)
 
 
-def held_up_scan(k):
+def delayed_scan(k):
     """The device was busy, and sent it 16 ms after the zero index."""
     return telegram(k, k * 20_000, sent_after_us=16_000)
 
 
-@pytest.mark.parametrize("first_scan", [stale_scan, held_up_scan])
+@pytest.mark.parametrize("first_scan", [stale_scan, delayed_scan])
 def test_first_scan_of_a_connection_does_not_decide_alone_where_the_first_beam_lies(first_scan):
     session = Lms100Session(config())
     frames_of(first_scan(4), session=session)

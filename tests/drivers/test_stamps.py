@@ -53,7 +53,7 @@ class Case:
     """A fake device, its driver's sessions, and what is known of their stamps.
 
     truth      remembers when it measured; None: the samples tell by their rate of turn
-    bias_ms    lowest and highest mean error: what no driver can know of the way from device to host
+    bias_ms    lowest and highest mean error: of the latency from device to host, which no driver can measure
     spread_ms  largest standard deviation
     """
 

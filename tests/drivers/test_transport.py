@@ -45,7 +45,7 @@ def terminal():
     os.close(master)
 
 
-def test_tcp_carries_bytes_both_ways(tcp):
+def test_tcp_carries_bytes_in_both_directions(tcp):
     transport, peer = tcp
     transport.write(b"to")
     assert peer.recv(10) == b"to"
@@ -88,7 +88,7 @@ def test_tcp_write_after_the_end_is_a_transport_error(tcp):
         transport.write(b"abc")
 
 
-def test_serial_carries_bytes_both_ways(terminal):
+def test_serial_carries_bytes_in_both_directions(terminal):
     master, path = terminal
     with SerialTransport(path, 115_200) as port:
         port.write(b"to")
@@ -193,19 +193,19 @@ def test_serial_port_that_takes_nothing_is_given_up(terminal, monkeypatch):
 
 def test_serial_long_writes_go_through_whole(terminal):
     master, path = terminal
-    said = bytes(range(256)) * 400
-    heard = bytearray()
+    sent = bytes(range(256)) * 400
+    received = bytearray()
 
     def hear():
-        while len(heard) < len(said):
-            heard.extend(os.read(master, 65_536))
+        while len(received) < len(sent):
+            received.extend(os.read(master, 65_536))
 
     with SerialTransport(path, 115_200) as port:
         thread = threading.Thread(target=hear, daemon=True)
         thread.start()
-        port.write(said)
+        port.write(sent)
         thread.join(5.0)
-    assert heard == said
+    assert received == sent
 
 
 def test_serial_url_that_cannot_be_waited_for_is_refused_with_one_that_can(monkeypatch):

@@ -15,13 +15,13 @@ from tests.drivers.virtual_time import SECOND_NS
 BOTH = pytest.mark.parametrize("make", [mtdata2, legacy])
 
 
-def said(wire: bytes) -> list[Message]:
+def messages_in(wire: bytes) -> list[Message]:
     return MessageDecoder().receive_data(bytes(wire))
 
 
 def sent_with_data(wire: bytes) -> list[int]:
     """Ids of what was set."""
-    return [message.mid for message in said(wire) if message.data]
+    return [message.mid for message in messages_in(wire) if message.data]
 
 
 @BOTH
@@ -153,7 +153,7 @@ def test_a_unit_that_does_not_tell_its_output_is_given_up():
     t = talk(device)
     with pytest.raises(TransportError, match="no answer to 3 times OUTPUT_CONFIGURATION; rebooting, or"):
         t.run(6.0)
-    assert [message.mid for message in said(t.sent)].count(Mid.OUTPUT_CONFIGURATION) == 3
+    assert [message.mid for message in messages_in(t.sent)].count(Mid.OUTPUT_CONFIGURATION) == 3
 
 
 class Earless(FakeMtiG):

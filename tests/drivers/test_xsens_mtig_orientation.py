@@ -58,23 +58,23 @@ def test_matrices_of_half_turns_are_read(angles):
 
 @pytest.mark.parametrize("local", list(LocalFrame))
 def test_orientation_in_every_local_frame_and_form_becomes_that_of_enu(local):
-    """The device says local from sensor; the vector that its matrix turns is known in ENU."""
+    """The device sends local from sensor; the vector that its matrix turns is known in ENU."""
     for enu_from_sensor in RANDOM:
         local_from_sensor = Rotation.from_matrix(FRAME_IN_ENU[local] @ enu_from_sensor.as_matrix())
         yaw, pitch, roll = local_from_sensor.as_euler("ZYX", degrees=True)
-        said = (
+        orientations = (
             wxyz(local_from_sensor),
             (roll, pitch, yaw),
             tuple(local_from_sensor.as_matrix().ravel().tolist()),
         )
-        for orientation in said:
+        for orientation in orientations:
             assert same(to_enu(local, orientation, (1.0, 0.0, 0.0, 0.0)), enu_from_sensor)
 
 
 @pytest.mark.parametrize(
     ("forward", "up"), [p for p in itertools.product(AXES, AXES) if p[0][-1] != p[1][-1]]
 )
-def test_housings_mounted_any_way_give_forward_left_up(forward, up):
+def test_housings_in_any_mounting_give_forward_left_up(forward, up):
     axes = axes_of(forward, up)
     assert apply(axes, UNIT[forward]) == pytest.approx((1, 0, 0))
     assert apply(axes, UNIT[up]) == pytest.approx((0, 0, 1))

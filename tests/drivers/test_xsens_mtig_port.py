@@ -31,10 +31,10 @@ class Line(BaudPort):
 
     def read(self, timeout_s: float) -> bytes:
         self.now_ns += TICK_NS
-        said = b""
+        sent = b""
         while (due_ns := self.device.next_due_ns(self.now_ns)) is not None and due_ns <= self.now_ns:
-            said += self.device.due(max(due_ns, self.now_ns))
-        return said if self.baud == self.device.settings.baud else bytes(b ^ 0x5A for b in said[::2])
+            sent += self.device.due(max(due_ns, self.now_ns))
+        return sent if self.baud == self.device.settings.baud else bytes(b ^ 0x5A for b in sent[::2])
 
     def write(self, data: bytes) -> None:
         same = self.baud == self.device.settings.baud

@@ -79,15 +79,15 @@ def test_a_counter_that_counts_skipped_samples_is_found_out_and_one_lost_first_i
 
 
 @pytest.mark.parametrize("make", [mtdata2, legacy])
-def test_what_a_burst_of_noise_holds_does_not_make_samples_old(make):
+def test_samples_within_a_burst_of_noise_are_not_old(make):
     """Half a second of samples among garbage in one read: 160 kB, which would be 14 s of the line."""
     t = talk(make()).run(5.0)
-    held, rng = bytearray(), np.random.default_rng(1)
+    noisy, rng = bytearray(), np.random.default_rng(1)
     for _ in range(200):
         t.now_ns = max(t.now_ns, t.device.next_due_ns(t.now_ns))
-        held += rng.integers(0, 0xF0, 800, dtype=np.uint8).tobytes() + t.device.due(t.now_ns)
+        noisy += rng.integers(0, 0xF0, 800, dtype=np.uint8).tobytes() + t.device.due(t.now_ns)
     before = len(t.frames)
-    t.frames += t.session.receive_data(bytes(held), t.now_ns)
+    t.frames += t.session.receive_data(bytes(noisy), t.now_ns)
     t.run(5.0)
     taken = samples(t.frames)
     assert len(samples(t.frames[before:])) > 1_080

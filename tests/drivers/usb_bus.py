@@ -19,7 +19,7 @@ PACKET = 64
 
 @dataclass(eq=False)
 class Unit:
-    """A device as libusb shows it: a control interface 0, and interface 1 with bulk endpoints both ways."""
+    """A device of libusb: control interface 0, and interface 1 with bulk endpoints in both directions."""
 
     device: FakeDevice
     product: int = 0x0017

@@ -110,10 +110,10 @@ class VirtualLink:
             self.frames += [frame for frame in frames if not isinstance(frame, GnssFix)]
             self.passed_on += [f for f in frames if self._gate.lets_through(session.clock_sigma_ns, now_ns)]
         session.tick(now_ns)
-        if said := bytes(session.outbox):
+        if sent := bytes(session.outbox):
             session.outbox.clear()
-            self.chunks.append(link.RawChunk(now_ns, "sent", said))
-            self._deliver(self.device.receive_data(said, self.now_ns))
+            self.chunks.append(link.RawChunk(now_ns, "sent", sent))
+            self._deliver(self.device.receive_data(sent, self.now_ns))
 
     def _deliver(self, data: bytes) -> None:
         if data:

@@ -55,10 +55,10 @@ class Talk:
     def exchange(self) -> None:
         """Carry what the session has to send, and what the device answers."""
         while self.session.outbox:
-            said = bytes(self.session.outbox)
+            sent = bytes(self.session.outbox)
             self.session.outbox.clear()
-            self.sent += said
-            self._deliver(self.device.receive_data(said, self.now_ns))
+            self.sent += sent
+            self._deliver(self.device.receive_data(sent, self.now_ns))
 
     def _deliver(self, data: bytes) -> None:
         if data:
@@ -96,7 +96,7 @@ class LateTalk:
         self._connect()
 
     def reconnect(self, session: Session) -> "LateTalk":
-        """A new session with the same device; what was under way is lost."""
+        """A new session with the same device; data in transit are lost."""
         self.device.disconnected(self.now_ns)
         self._events.clear()
         self.session = session
@@ -143,10 +143,10 @@ class LateTalk:
         if self.now_ns != self._looks_at_ns:
             return  # there was a read in between
         self.session.tick(self.now_ns)
-        said = bytes(self.session.outbox)
+        sent = bytes(self.session.outbox)
         self.session.outbox.clear()
-        if said:
-            self._put(self.now_ns + self.TO_DEVICE_NS, self._hear, said)
+        if sent:
+            self._put(self.now_ns + self.TO_DEVICE_NS, self._hear, sent)
         self._plan_look(self.now_ns + TICK_NS)
 
     def _hear(self, data: bytes) -> None:

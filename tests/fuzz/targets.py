@@ -84,20 +84,20 @@ def wire(new: Callable[[], Any]) -> Target:
             session.tick(k * STEP_NS)
             session.outbox.clear()
 
-    def said() -> list[bytes]:
-        heard = bytearray()
+    def sent() -> list[bytes]:
+        received = bytearray()
         talk = new()
         receive = talk.session.receive_data
 
         def hear(data: bytes, arrived_ns: int) -> Any:
-            heard.extend(data)
+            received.extend(data)
             return receive(data, arrived_ns)
 
         talk.session.receive_data = hear
         talk.run(0.3)
-        return [bytes(heard), bytes(heard[:2000])]
+        return [bytes(received), bytes(received[:2000])]
 
-    return Target(listen, said, (DriverError,))
+    return Target(listen, sent, (DriverError,))
 
 
 def in_folder(read: Callable[[Path], object], name: str = "file") -> Callable[[bytes], None]:
