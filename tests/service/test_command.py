@@ -94,13 +94,13 @@ def test_a_signal_at_any_moment_ends_a_command_at_once(
         os.killpg(process.pid, signal.SIGINT)  # a terminal tells the whole group
     else:
         process.send_signal(signal.SIGTERM)
-    said, _ = process.communicate(timeout=PATIENCE_S)
+    printed, _ = process.communicate(timeout=PATIENCE_S)
     more_s = children_cpu_s() - before_s  # of its own; no one waits for the processes that it killed
-    where = f"{command}, {name} after {at_s:.2f} s said {said.decode()}"
+    where = f"{command}, {name} after {at_s:.2f} s printed {printed.decode()}"
     assert process.returncode == CODES[command, name], where
     assert more_s < MAX_CPU_S, where
-    assert b"Traceback" not in said, where
-    assert b"Exception ignored" not in said, where
+    assert b"Traceback" not in printed, where
+    assert b"Exception ignored" not in printed, where
     wait_until(lambda: not alive_in(process.pid), PATIENCE_S, f"they have not ended; {where}")
     wait_until(lambda: not any(map(look_at, family)), PATIENCE_S, f"the children have not ended; {where}")
 

@@ -264,8 +264,8 @@ def test_the_page_and_zenoh_have_ports_of_their_own(zenoh: str, page: str, port:
     if port is None:
         assert parse_config(text, "c.yaml").sinks["web"].listen == page
     else:
-        told = f"web.listen: port {port} is taken by publishing.listen; give each a port of its own"
-        assert [fault.partition(": ")[2] for fault in faults(text)] == [told]
+        expected = f"web.listen: port {port} is taken by publishing.listen; give each a port of its own"
+        assert [fault.partition(": ")[2] for fault in faults(text)] == [expected]
         assert parse_config(text.replace("web: {", "web: {enabled: false, "), "c.yaml")
 
 

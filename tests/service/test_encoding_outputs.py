@@ -131,8 +131,8 @@ def test_a_grid_survives_and_its_rows_run_along_x():
     np.testing.assert_array_equal(decoded.cells, cells)
 
 
-def test_the_map_lies_below_what_is_drawn_on_it_and_that_below_scans_and_path():
-    """What lies at one height is drawn in any order by viewers in 3D: the map would hide the scans."""
+def test_the_map_lies_below_what_is_shown_on_it_and_that_below_scans_and_path():
+    """What lies at one height is rendered in any order by viewers in 3D: the map would hide the scans."""
     cells = np.zeros((2, 2), dtype=np.int8)
     grid, tile = Grid(0, 0.05, 0.0, 0.0, cells), TileUpdate(0, 0, 0, 1, 0.05, cells)
     messages = [encoding.encode_grid(grid, T0_NS, T0_NS), encoding.encode_tile(tile, T0_NS, T0_NS)]

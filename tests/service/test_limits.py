@@ -55,7 +55,7 @@ def chunk(content: bytes, compression: str = "zstd", size: int | None = None) ->
 
 def write_mcap(path: Path, *chunks: bytes) -> Path:
     head = (
-        Header("ros2", "a stranger"),
+        Header("ros2", "a client"),
         Schema(1, b"", "ros2msg", "std_msgs/msg/String"),
         Channel(1, "/a", "cdr", {}, 1),
     )

@@ -26,6 +26,6 @@ def test_a_folder_without_rights_is_reported_by_every_command(
 
     monkeypatch.setattr(os, "listdir", refuse)
     assert main([word.format(tmp_path) for word in command]) == InputError.exit_code
-    said = capsys.readouterr().err
-    assert "Permission denied" in said
-    assert "Errno" not in said
+    printed = capsys.readouterr().err
+    assert "Permission denied" in printed
+    assert "Errno" not in printed

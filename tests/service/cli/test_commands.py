@@ -100,10 +100,10 @@ def test_wrong_usage_exits_with_64_in_plain_words(
     wrong: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ):
     assert code_of(wrong) == UsageError.exit_code
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert "usage: corridor" in said.err
-    assert said.err.endswith(f": {words}\n" if words else "\n")
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "usage: corridor" in printed.err
+    assert printed.err.endswith(f": {words}\n" if words else "\n")
 
 
 def test_the_command_itself_ends_with_this_code_and_without_a_traceback():
@@ -157,9 +157,9 @@ def test_check_lists_every_fault_and_exits_with_78(tmp_path: Path, capsys: pytes
     bad = tmp_path / "bad.yaml"
     bad.write_text(GOOD.replace("vehicle: v", "vehicle: V") + "maping: {}\n")
     assert main(["check", str(bad)]) == ConfigError.exit_code
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert len(said.err.splitlines()) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert len(printed.err.splitlines()) == 2
     assert main(["check", str(bad), "--json"]) == ConfigError.exit_code
     answer = json.loads(capsys.readouterr().out)
     assert (answer["ok"], len(answer["faults"])) == (False, 2)
@@ -299,7 +299,7 @@ def test_results_are_words_or_one_json_object(capsys: pytest.CaptureFixture[str]
     assert json.loads(capsys.readouterr().out) == result
 
 
-def test_names_of_strangers_do_not_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_names_in_foreign_files_do_not_steer_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     name, shown = "a\x1b[2Jb\r\x9b", r"a\x1b[2Jb\r\x9b"
     assert main(["replay", str(tmp_path / name)]) == InputError.exit_code
     console.print_result({"name": name, "names": [{"a": name}]}, as_json=False)

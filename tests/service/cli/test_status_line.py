@@ -39,7 +39,7 @@ def test_the_running_status_names_state_pose_rates_latency_and_map():
     assert str(lost) == "lost | front 0 Hz | few beams agree"
 
 
-def test_on_a_terminal_the_line_is_drawn_again_in_its_place():
+def test_on_a_terminal_the_line_is_written_again_in_its_place():
     terminal, clock = Terminal(), SetClock()
     line = StatusLine(terminal, clock)
     line(service(None))
@@ -49,10 +49,10 @@ def test_on_a_terminal_the_line_is_drawn_again_in_its_place():
     line(service(None, 0.5))
     clock.now_s += 1.0
     line(service())
-    drawn = [part.rstrip("\r") for part in terminal.getvalue().split(CLEAR)]
-    assert drawn[1] == "loading kernels, 0 s"
-    assert re.fullmatch(r"compiling kernels \[#{15}\.{15}\]  50% 1 s", drawn[2])
-    assert drawn[3].startswith("0 s | ok | x 1.23")
+    lines = [part.rstrip("\r") for part in terminal.getvalue().split(CLEAR)]
+    assert lines[1] == "loading kernels, 0 s"
+    assert re.fullmatch(r"compiling kernels \[#{15}\.{15}\]  50% 1 s", lines[2])
+    assert lines[3].startswith("0 s | ok | x 1.23")
     assert "\n" not in terminal.getvalue()
     line.end()
     assert terminal.getvalue().endswith(CLEAR)
@@ -84,9 +84,9 @@ def test_what_is_logged_goes_above_the_line(terminal_log: Terminal):
         line(service())
         logging.getLogger("x").warning("front: cable out")
     written = terminal_log.getvalue()
-    drawn, logged, again = written.split(CLEAR)[1:4]
-    assert drawn == again
-    assert drawn.startswith("0 s | ok")
+    lines, logged, again = written.split(CLEAR)[1:4]
+    assert lines == again
+    assert lines.startswith("0 s | ok")
     assert logged == "front: cable out\n"
     assert written.endswith(CLEAR)
     logging.getLogger("x").warning("afterwards")

@@ -42,7 +42,7 @@ def no_key_stays() -> Iterator[None]:
 
 @pytest.fixture
 def no_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Neither the sources nor the home can hold a cache (a file is in the way of each folder)."""
+    """Neither the sources nor the home can have a cache (a file is in place of each folder)."""
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(kernel_cache, "KERNELS", tmp_path / "file")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))

@@ -13,7 +13,7 @@ import numpy as np
 from service.kernels import linear3, se2, usual_gap
 from service.compile.lazy import WaitingKernel, njit
 from service.kernels.usual_gap import usual_gap as by_name
-held = {"gap": by_name}
+by_key = {"gap": by_name}
 assert "numba" not in sys.modules
 assert isinstance(by_name, WaitingKernel)
 """
@@ -27,13 +27,13 @@ def run(code: str) -> str:
 
 def test_the_first_call_imports_numba_and_puts_its_kernels_into_every_module_and_into_later_ones():
     assert run("""
-gap = held["gap"](np.array([0, 2, 4, 6, 7], np.int32))
+gap = by_key["gap"](np.array([0, 2, 4, 6, 7], np.int32))
 from numba.core.dispatcher import Dispatcher
 kernels = [v for m in (linear3, se2, usual_gap) for v in vars(m).values() if hasattr(v, "py_func")]
 assert kernels and all(isinstance(kernel, Dispatcher) for kernel in kernels)
 assert not any(isinstance(v, WaitingKernel) for m in list(sys.modules.values()) for k, v in vars(m).items()
                if m.__name__.startswith("service"))
-assert usual_gap.usual_gap.signatures and held["gap"](np.array([0, 3], np.int32)) == 3
+assert usual_gap.usual_gap.signatures and by_key["gap"](np.array([0, 3], np.int32)) == 3
 print(gap)
 from service.kernels import maximum_likelihood_pose as by_maximum  # waits for nothing
 assert isinstance(by_maximum.copy_vector, Dispatcher) and isinstance(by_maximum.hill_climb, Dispatcher)

@@ -88,11 +88,11 @@ def test_no_process_begins_where_all_is_in_the_cache(work: Work, monkeypatch: py
 
 def test_progress_is_that_of_what_is_not_in_the_cache(work: Work):
     work.is_to_do("cached a b", "c d")
-    said: list[tuple[float, str]] = []
-    progress = KernelProgress(lambda p: said.append((p.share, str(p).rpartition(",")[0])))
+    reported: list[tuple[float, str]] = []
+    progress = KernelProgress(lambda p: reported.append((p.share, str(p).rpartition(",")[0])))
     assert str(progress) == "loading kernels, 0 s"
     warm_up(progress=progress)
-    assert said == [(k / 4, f"compiling kernels: {k} of 4") for k in range(1, 5)]
+    assert reported == [(k / 4, f"compiling kernels: {k} of 4") for k in range(1, 5)]
 
 
 def test_seldom_kernels_that_are_not_in_the_cache_are_left_out_on_request(work: Work):

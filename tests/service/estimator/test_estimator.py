@@ -37,20 +37,20 @@ def driven(
 ) -> Prediction:
     """Straight on with odometry each 20 ms and a tight scan each 100 ms; the last prediction."""
     for stamp_ms in range(from_ms, until_ms + 1, 20):
-        way_m = speed_mps * stamp_ms * 1e-3
-        assert model.add(later(odometry(stamp_ms, SE2(wheel_scale * way_m, 0.0, 0.0)), offset_ns))
+        path_m = speed_mps * stamp_ms * 1e-3
+        assert model.add(later(odometry(stamp_ms, SE2(wheel_scale * path_m, 0.0, 0.0)), offset_ns))
         if rate_radps is not None:
             assert model.add(later(gyro(stamp_ms, rate_radps), offset_ns))
         if stamp_ms % 100 == 0:
             predicted = model.predict(stamp_ms * MS + offset_ns)
-            model.correct(matched(SE2(way_m, 0.0, 0.0), TIGHT))
+            model.correct(matched(SE2(path_m, 0.0, 0.0), TIGHT))
     return predicted
 
 
 @pytest.mark.parametrize("period_ms", [40, 100, 200])
 def test_odometry_slower_than_the_scans_measures_each_step_until_a_sample_is_missing(period_ms: int) -> None:
     """1 m/s; scans each 20 ms that measure nothing. Between samples it goes on for 1.5 periods."""
-    model, way_m, variance_m2, silent_ms = Estimator(EstimatorConfig()), 0.0, 0.0, []
+    model, path_m, variance_m2, silent_ms = Estimator(EstimatorConfig()), 0.0, 0.0, []
     for stamp_ms in range(0, 1400, 20):
         if stamp_ms % period_ms == 0 and stamp_ms <= 1000:
             model.add(odometry(stamp_ms, SE2(stamp_ms * 1e-3, 0.0, 0.0)))
@@ -58,7 +58,7 @@ def test_odometry_slower_than_the_scans_measures_each_step_until_a_sample_is_mis
             increment = model.predict((stamp_ms + 5) * MS).increment
             model.correct(None)
             if increment is not None:
-                way_m += increment.pose.x_m
+                path_m += increment.pose.x_m
                 variance_m2 += increment.variance_m2
                 beyond_s = 1e-3 * ((stamp_ms + 5) - min(stamp_ms, 1000) // period_ms * period_ms)
                 assert increment.end_m2 == pytest.approx(
@@ -69,8 +69,8 @@ def test_odometry_slower_than_the_scans_measures_each_step_until_a_sample_is_mis
     silent_from_ms = 1000 + 1.5 * period_ms
     assert silent_ms[0] == pytest.approx(silent_from_ms + 20, abs=20)
     assert silent_ms[-1] == 1380
-    assert way_m == pytest.approx((silent_ms[0] - 620) * 1e-3, abs=0.025)
-    assert variance_m2 == pytest.approx(EstimatorConfig().odometry_position_walk ** 2 * way_m, rel=0.1)
+    assert path_m == pytest.approx((silent_ms[0] - 620) * 1e-3, abs=0.025)
+    assert variance_m2 == pytest.approx(EstimatorConfig().odometry_position_walk ** 2 * path_m, rel=0.1)
 
 
 def test_a_gyro_measures_the_rotation_between_samples_of_odometry() -> None:
@@ -249,8 +249,8 @@ def test_a_bias_that_jumps_is_learnt_again_within_two_seconds() -> None:
 def test_odometry_carries_over_a_minute_and_a_half_without_scans() -> None:
     model = Estimator(EstimatorConfig())
     for stamp_ms in range(0, 87_001, 20):
-        way_m = max(stamp_ms - 2000, 0) / 85_000.0
-        model.add(odometry(stamp_ms, SE2(way_m, 0.0, 0.0)))
+        path_m = max(stamp_ms - 2000, 0) / 85_000.0
+        model.add(odometry(stamp_ms, SE2(path_m, 0.0, 0.0)))
         if stamp_ms % 100 == 0 and stamp_ms <= 2000:
             model.predict(stamp_ms * MS)
             model.correct(matched(SE2(), TIGHT))
@@ -310,14 +310,14 @@ def test_odometry_that_begins_again_costs_the_step_in_which_it_did(
     """The computer of the base restarts while the vehicle drives on."""
     model, off_m, measured = Estimator(EstimatorConfig()), [], []
     for stamp_ms in range(0, 15_001, 20):
-        way_m = stamp_ms * 1e-3
-        is_anew = stamp_ms >= 10_000
-        step = SE2(way_m - 10.0 if is_anew else way_m, 0.0, 0.0)
-        assert model.add(odometry(stamp_ms, begins_at @ step if is_anew else step))
+        path_m = stamp_ms * 1e-3
+        is_restarted = stamp_ms >= 10_000
+        step = SE2(path_m - 10.0 if is_restarted else path_m, 0.0, 0.0)
+        assert model.add(odometry(stamp_ms, begins_at @ step if is_restarted else step))
         if stamp_ms % 100 == 0:
             predicted = model.predict(stamp_ms * MS)
-            model.correct(matched(SE2(way_m, 0.0, 0.0), TIGHT))
-            off_m.append(abs(predicted.pose_odom_base.x_m - way_m))
+            model.correct(matched(SE2(path_m, 0.0, 0.0), TIGHT))
+            off_m.append(abs(predicted.pose_odom_base.x_m - path_m))
             measured.append(predicted.is_measured)
     assert max(off_m[5:]) < 0.02
     assert measured[5:].count(False) <= 1
@@ -331,11 +331,11 @@ def test_a_restart_right_after_a_scan_is_no_motion() -> None:
     model = Estimator(EstimatorConfig())
     driven(model, 5000)
     for stamp_ms in range(5020, 7001, 20):
-        way_m = stamp_ms * 1e-3
-        assert model.add(odometry(stamp_ms, SE2(way_m - 10.0, 0.0, 0.0)))
+        path_m = stamp_ms * 1e-3
+        assert model.add(odometry(stamp_ms, SE2(path_m - 10.0, 0.0, 0.0)))
         if stamp_ms % 100 == 40:
-            assert model.predict(stamp_ms * MS).pose_odom_base.x_m == pytest.approx(way_m, abs=0.02)
-            model.correct(matched(SE2(way_m, 0.0, 0.0), TIGHT))
+            assert model.predict(stamp_ms * MS).pose_odom_base.x_m == pytest.approx(path_m, abs=0.02)
+            model.correct(matched(SE2(path_m, 0.0, 0.0), TIGHT))
             assert not model.fault
 
 

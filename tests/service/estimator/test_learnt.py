@@ -66,13 +66,13 @@ def learnt_on(
     noise = np.random.default_rng(seed)
     t_s = np.arange(0.0, seconds + 0.1, DT_S)
     speed_mps = np.minimum(t_s, 1.0) * (1.0 + 0.05 * np.sin(2.0 * math.pi * t_s / 7.0 + seed))
-    way_m = np.cumsum(speed_mps) * DT_S
+    path_m = np.cumsum(speed_mps) * DT_S
     heading_rad = np.cumsum(turn_rate_radps(t_s, has_corners)) * DT_S
     x_m = np.cumsum(speed_mps * np.cos(heading_rad)) * DT_S
     y_m = np.cumsum(speed_mps * np.sin(heading_rad)) * DT_S
 
     rows = np.arange(0, len(t_s), round(ODOMETRY_S / DT_S))
-    steps_m = np.diff(way_m[rows], prepend=0.0)
+    steps_m = np.diff(path_m[rows], prepend=0.0)
     root = np.sqrt(steps_m) * noise.standard_normal((2, len(rows)))
     slip_rad = wheels.slip_radps * ODOMETRY_S * ((t_s[rows] > 8.0) & (t_s[rows] < 8.7))
     turned_rad = wheels.turn_scale * np.diff(heading_rad[rows], prepend=0.0)
@@ -108,9 +108,9 @@ def learnt_on(
         chi2 = float(moved @ prior @ moved)
         weight = min(1.0, 8.0 / (5.0 + chi2))  # as the matcher weighs a prediction, [12]
         motion = model.correct(Measurement(seen, np.eye(3), of_scan, weight, is_joined=False))
-        if way_m[k] - settled_m > SETTLE_M:
+        if path_m[k] - settled_m > SETTLE_M:
             model.settle(math.exp(-SETTLE_M / 4.0))
-            settled_m = way_m[k]
+            settled_m = path_m[k]
     truth = np.array([1.0 / wheels.scale - 1.0, 1.0 / wheels.turn_scale - 1.0, wheels.lag_s])
     sigma = np.sqrt(np.diag(model.filter["covariance"])[[SCALE, TURN_SCALE, LAG]])
     learnt = np.array([model.filter[name] for name in ("scale", "turn_scale", "lag_s")])

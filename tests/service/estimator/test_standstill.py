@@ -14,7 +14,7 @@ VAGUE = np.diag([0.015**2, 1e-6, 1e-8])  # along a corridor, m^2
 DEAD_MS = 4000
 
 
-def way_m_at(stamp_ms: int, stands_ms: tuple[int, int]) -> float:
+def path_m_at(stamp_ms: int, stands_ms: tuple[int, int]) -> float:
     """1 m/s, but for a stop with 2 m/s^2 before and after."""
     at_s, (from_s, until_s) = stamp_ms * 1e-3, (stands_ms[0] * 1e-3, stands_ms[1] * 1e-3)
     braked_s = min(max(at_s - from_s, 0.0), 0.5)
@@ -42,16 +42,16 @@ def test_odometry_that_repeats_its_pose_is_used_only_at_standstill(
     model, random, stands_ms = Estimator(EstimatorConfig()), np.random.default_rng(5), (6000, 8000)
     rounding, off_m, faults, counted_m = np.random.default_rng(6), [], [], 0.0
     for stamp_ms in range(0, 12_001, 20):
-        way_m = way_m_at(stamp_ms, stands_ms)
+        path_m = path_m_at(stamp_ms, stands_ms)
         if dies_ms is None or stamp_ms <= dies_ms:
-            counted_m = way_m
-        said_m = counted_m + rounding_m * rounding.uniform(-1.0, 1.0)
-        assert model.add(odometry(stamp_ms, SE2(said_m, 0.0, 0.0)))
+            counted_m = path_m
+        sent_m = counted_m + rounding_m * rounding.uniform(-1.0, 1.0)
+        assert model.add(odometry(stamp_ms, SE2(sent_m, 0.0, 0.0)))
         if stamp_ms % 100 == 0:
             model.predict(stamp_ms * MS)
-            seen = SE2(way_m + random.normal(0.0, 0.015), 0.0, 0.0)
+            seen = SE2(path_m + random.normal(0.0, 0.015), 0.0, 0.0)
             found = model.correct(matched(seen, VAGUE)).pose_odom_base
-            off_m.append(abs(found.x_m - way_m))
+            off_m.append(abs(found.x_m - path_m))
             faults.append(model.fault)
     # The one that dies unnoticed is detected by the scans that contradict it.
     assert max(off_m) < most_m
@@ -66,14 +66,14 @@ def test_a_position_that_repeats_while_the_heading_changes_is_no_standstill() ->
     """The encoder dies, the heading comes from a gyro; scans measure the motion to 15 mm."""
     model, random = Estimator(EstimatorConfig()), np.random.default_rng(5)
     for stamp_ms in range(0, 6001, 20):
-        way_m = stamp_ms * 1e-3
-        said = SE2(min(way_m, DEAD_MS * 1e-3), 0.0, random.normal(0.0, 1e-4))
-        assert model.add(odometry(stamp_ms, said))
+        path_m = stamp_ms * 1e-3
+        reported = SE2(min(path_m, DEAD_MS * 1e-3), 0.0, random.normal(0.0, 1e-4))
+        assert model.add(odometry(stamp_ms, reported))
         if stamp_ms % 100 == 0:
             model.predict(stamp_ms * MS)
-            seen = SE2(way_m + random.normal(0.0, 0.015), 0.0, 0.0)
+            seen = SE2(path_m + random.normal(0.0, 0.015), 0.0, 0.0)
             found = model.correct(matched(seen, VAGUE)).pose_odom_base
-            assert found.x_m == pytest.approx(way_m, abs=0.08)
+            assert found.x_m == pytest.approx(path_m, abs=0.08)
     assert model.fault.startswith("odometry contradicts the scans (it says the same position again")
 
 
@@ -81,7 +81,7 @@ def test_a_vehicle_that_stops_and_turns_on_the_spot_is_measured() -> None:
     model, stands_ms = Estimator(EstimatorConfig()), (2000, 4000)
     for stamp_ms in range(0, 4401, 20):
         turned_rad = max(stamp_ms - 2500, 0) * 1e-3
-        pose = SE2(way_m_at(min(stamp_ms, 3900), stands_ms), 0.0, turned_rad)
+        pose = SE2(path_m_at(min(stamp_ms, 3900), stands_ms), 0.0, turned_rad)
         assert model.add(odometry(stamp_ms, pose))
         if stamp_ms % 100 == 0 and stamp_ms <= 4000:
             model.predict(stamp_ms * MS)
@@ -96,13 +96,13 @@ def found_after_hanging(counts: bool) -> list[SE2]:
     """Odometry hangs for 4 s, in which its vehicle drives 4 m, and goes on with them or without."""
     model, found = Estimator(EstimatorConfig()), []
     for stamp_ms in range(0, 12_001, 20):
-        way_m = stamp_ms * 1e-3
-        said_m = way_m if stamp_ms < 4000 else 4.0 if stamp_ms <= 8000 else way_m - (0.0 if counts else 4.0)
-        assert model.add(odometry(stamp_ms, SE2(said_m, 0.0, 0.0)))
+        path_m = stamp_ms * 1e-3
+        sent_m = path_m if stamp_ms < 4000 else 4.0 if stamp_ms <= 8000 else path_m - (0.0 if counts else 4.0)
+        assert model.add(odometry(stamp_ms, SE2(sent_m, 0.0, 0.0)))
         if stamp_ms % 100 == 0:
             predicted = model.predict(stamp_ms * MS)
-            model.correct(matched(SE2(way_m, 0.0, 0.0), SURE))
-            assert predicted.pose_odom_base.x_m == pytest.approx(way_m, abs=0.05)
+            model.correct(matched(SE2(path_m, 0.0, 0.0), SURE))
+            assert predicted.pose_odom_base.x_m == pytest.approx(path_m, abs=0.05)
             if 5200 <= stamp_ms < 8000:
                 assert model.fault
                 assert not predicted.is_measured
@@ -126,7 +126,7 @@ def test_an_impossible_stop_without_scans_measures_no_motion(braked_s: float, go
         at_s = stamp_ms * 1e-3
         since_s = min(max(at_s - 4.0, 0.0), braked_s)
         counted_m = min(at_s, 4.0) + since_s - 0.5 * since_s**2 / braked_s + max(at_s - 7.0, 0.0)
-        way_m = counted_m if braked_s == 0.5 else at_s
+        path_m = counted_m if braked_s == 0.5 else at_s
         assert model.add(odometry(stamp_ms, SE2(counted_m, 0.0, 0.0)))
         if stamp_ms % 100 == 0 and not 4000 < stamp_ms < 7000:
             predicted = model.predict(stamp_ms * MS)
@@ -140,8 +140,8 @@ def test_an_impossible_stop_without_scans_measures_no_motion(braked_s: float, go
                 assert predicted.is_unconfirmed_stop != is_known
             elif stamp_ms > 7100:
                 assert predicted.is_measured
-                assert predicted.pose_odom_base.x_m == pytest.approx(way_m, abs=0.02)
-            model.correct(matched(SE2(way_m, 0.0, 0.0), SURE))
+                assert predicted.pose_odom_base.x_m == pytest.approx(path_m, abs=0.02)
+            model.correct(matched(SE2(path_m, 0.0, 0.0), SURE))
             assert not model.fault
 
 
@@ -165,9 +165,9 @@ def stalled(
     for stamp_ms in range(0, 6401, 20):
         if stamp_ms % 200 == 0:
             counted_ms = stamp_ms if counts_on or stamp_ms < 6000 else stamp_ms - 1800
-            said_m = at_mps * (4000 if 4000 <= stamp_ms < 6000 else counted_ms) + jump_m * (stamp_ms >= 6000)
+            sent_m = at_mps * (4000 if 4000 <= stamp_ms < 6000 else counted_ms) + jump_m * (stamp_ms >= 6000)
             before_m = float(model.filter["pose"][0])
-            assert model.add(odometry(stamp_ms, SE2(said_m, 0.0, 0.0)))
+            assert model.add(odometry(stamp_ms, SE2(sent_m, 0.0, 0.0)))
             if stamp_ms == 6000:
                 moved_m = float(model.filter["pose"][0]) - before_m
         if stamp_ms % scan_ms == 0:

@@ -21,8 +21,8 @@ TIGHT = np.diag([1e-6, 1e-6, 1e-8])
 def begun_to_move(stamp_ms: float) -> SE2:
     """Standing, then turning and driving faster and faster."""
     t = max(stamp_ms - AT_MS, 0.0) * 1e-3
-    way_m, turn_rad = 0.5 * DRIVES_MPS2 * t * t, 0.5 * TURNS_RADPS2 * t * t
-    return SE2.exp(way_m, 0.0, turn_rad)
+    path_m, turn_rad = 0.5 * DRIVES_MPS2 * t * t, 0.5 * TURNS_RADPS2 * t * t
+    return SE2.exp(path_m, 0.0, turn_rad)
 
 
 def predicted(has_odometry: bool = True, has_gyro: bool = False) -> Prediction:

@@ -137,7 +137,7 @@ def test_a_router_that_does_not_say_who_is_there_is_an_error_and_no_empty_fleet(
         assert process.wait(20.0) == 0
 
 
-def test_the_config_for_zenohd_keeps_strangers_and_viewers_out_as_our_router_does(
+def test_the_config_for_zenohd_refuses_unknown_clients_and_viewers_as_our_router_does(
     site, endpoint, client_of, open_session, start_vehicle, tmp_path
 ):
     secured = endpoint.replace("tcp", "tls")

@@ -11,7 +11,7 @@ HOOK = np.array([(0.0, 0.0), (3.0, 0.0), (3.0, 3.0), (2.0, 3.0), (2.0, 1.0), (0.
 
 
 @pytest.mark.parametrize("turned", [1, -1])
-def test_points_within_an_outline_are_inside_whichever_way_round_it_goes(turned):
+def test_points_within_an_outline_are_inside_in_either_direction(turned):
     xy = np.array([(0.5, 0.5), (2.5, 2.5), (1.0, 2.0), (-0.1, 0.5), (2.5, 3.1), (3.1, 0.5)])
     assert is_inside(xy, HOOK[::turned]).tolist() == [True, True, False, False, False, False]
     assert area_m2(HOOK[::turned]) == pytest.approx(5.0)

@@ -9,16 +9,16 @@ from service.kernels.tiles import NO_TILE, TileIndex
 DIRT = 9.0  # in slots that were used before
 
 
-def empty_tiles(tiles_each_way: int = 2, used_slots: int = 0) -> TileIndex:
-    """Room for tiles_each_way tiles on each side of the origin; used_slots were handed back."""
-    width = 2 * tiles_each_way
+def empty_tiles(half_tiles: int = 2, used_slots: int = 0) -> TileIndex:
+    """Room for half_tiles tiles on each side of the origin; used_slots are free again."""
+    width = 2 * half_tiles
     free = np.arange(width * width + used_slots, dtype=np.int32)
-    origin, counts = np.full(2, -tiles_each_way, np.int64), np.full(2, used_slots, np.int64)
+    origin, counts = np.full(2, -half_tiles, np.int64), np.full(2, used_slots, np.int64)
     return TileIndex(np.full((width, width), NO_TILE, np.int32), origin, free, counts)
 
 
-def empty_grid(cell_m: float = 0.1, tiles_each_way: int = 4, used_slots: int = 0) -> SurfelGrid:
-    tiles = empty_tiles(tiles_each_way, used_slots)
+def empty_grid(cell_m: float = 0.1, half_tiles: int = 4, used_slots: int = 0) -> SurfelGrid:
+    tiles = empty_tiles(half_tiles, used_slots)
     shape = (len(tiles.free), TILE_CELLS, TILE_CELLS)
     grid = SurfelGrid(tiles, np.zeros((*shape, 2, COLUMNS), np.float32), np.zeros(shape, np.float32), cell_m)
     grid.surfels[:used_slots] = grid.field[:used_slots] = DIRT

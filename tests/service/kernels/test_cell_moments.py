@@ -18,8 +18,8 @@ SENSOR = np.zeros(2)
 FACE_X_M = 6.04  # of a wall across the beams, from y = 1.00 to 1.25: the far side of a sunk door
 
 
-def empty_moments(tiles_each_way: int = 8) -> MomentGrid:
-    tiles = empty_tiles(tiles_each_way)
+def empty_moments(half_tiles: int = 8) -> MomentGrid:
+    tiles = empty_tiles(half_tiles)
     shape = (len(tiles.free), TILE_CELLS, TILE_CELLS, HALVES, MOMENTS)
     return MomentGrid(tiles, np.zeros(shape, np.float32), 0.1)
 

@@ -28,7 +28,7 @@ class CandidateSubmap:
 
     def __init__(self, settings: StaticScoreSettings = SETTINGS) -> None:
         self.grid: SurfelGrid = empty_grid()
-        self.fine_grid: SurfelGrid = empty_grid(self.grid.cell_m / PARTS, tiles_each_way=4 * PARTS)
+        self.fine_grid: SurfelGrid = empty_grid(self.grid.cell_m / PARTS, half_tiles=4 * PARTS)
         shape = self.grid.field.shape
         marks = np.zeros(shape, np.uint16), np.zeros((*shape, 2), np.uint16)
         self.observations = Observations(np.zeros(shape, np.int8), *marks)

@@ -47,7 +47,7 @@ def test_splats_agree_with_the_gaussian_of_the_nearest_point() -> None:
 
 
 def random_field() -> SurfelGrid:
-    grid = empty_grid(tiles_each_way=2)
+    grid = empty_grid(half_tiles=2)
     for row in range(-2, 2):
         for column in range(-2, 2):
             touch_tile(grid, row, column)

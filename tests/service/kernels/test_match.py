@@ -171,7 +171,7 @@ def test_where_few_inliers_lie_on_finer_surfels_full_cells_decide() -> None:
 def test_what_leaves_a_good_prediction_along_hedges_costs_less() -> None:
     """By noise of its normals a scan seems to fix the position along them; a step by it may lead anywhere."""
     sigma_m = 0.027  # as such a scan shows it, by second differences
-    rng, grid = np.random.default_rng(3), empty_grid(tiles_each_way=20)
+    rng, grid = np.random.default_rng(3), empty_grid(half_tiles=20)
     for x_m in np.arange(-3.0, 3.0, 0.06):
         xy = hedges(rng)
         insert_surfels(

@@ -77,8 +77,8 @@ def replace_shown(is_localizing: bool) -> None:
     wall = WallToRender(np.array([[9.0, 0.0], [9.0, 3.0]]))
     shown = OccupancyTiles(OccupancyConfig(), 0.05)
     scans = [] if is_localizing else [ScanToRender(xy.astype(np.float32), (0.0, 0.0), SE2())]
-    drawn = shown.renderer.render([*scans, wall])
-    rendered: RenderedMap = pickle.loads(pickle.dumps(drawn))
+    made = shown.renderer.render([*scans, wall])
+    rendered: RenderedMap = pickle.loads(pickle.dumps(made))
     shown.replace_by(rendered, scans)
     points = points_of(xy)
     if is_localizing:

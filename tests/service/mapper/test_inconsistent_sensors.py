@@ -20,7 +20,7 @@ SECONDS = 26.0
 
 
 @pytest.fixture(scope="module")
-def honest() -> Drive:
+def undisturbed() -> Drive:
     """The first corner of the ring at 10 scans a second: slow enough that a prediction matters."""
     return drives(WORLDS["ring"](), replace(LMS100_50HZ, rate_hz=10.0), SECONDS, [1], Wheels(), Imu())[0]
 
@@ -47,8 +47,10 @@ def frozen(sample: OdometrySample) -> OdometrySample:
     return replace(sample, x_m=0.0, y_m=0.0, theta_rad=0.0)
 
 
-def driven(drive: Drive, kind: type, lie: Callable[..., Frame] | None) -> Run:
-    frames = [lie(frame) if lie is not None and isinstance(frame, kind) else frame for frame in drive.frames]
+def driven(drive: Drive, kind: type, change: Callable[..., Frame] | None) -> Run:
+    frames = [
+        change(frame) if change is not None and isinstance(frame, kind) else frame for frame in drive.frames
+    ]
     return run(mapping_config(), replace(drive, frames=frames))
 
 
@@ -80,7 +82,7 @@ def diagnostics(done: Run) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "lie", "blamed"),
+    ("kind", "change", "blamed"),
     [
         (ImuSample, None, set()),
         (ImuSample, upside_down, {"the IMU's turns"}),
@@ -91,13 +93,13 @@ def diagnostics(done: Run) -> set[str]:
     ],
 )
 def test_an_inconsistent_sensor_is_excluded_and_named(
-    honest: Drive, kind: type, lie: Callable[..., Frame] | None, blamed: set[str]
+    undisturbed: Drive, kind: type, change: Callable[..., Frame] | None, blamed: set[str]
 ) -> None:
-    done = driven(honest, kind, lie)
+    done = driven(undisturbed, kind, change)
     assert diagnostics(done) == blamed
     assert "lost" not in {output.state for output in done.outputs}
     # Odometry that runs backwards shifts the map before it is refused: 42, 41, 31 mm (seeds 1 to 3).
     assert done.position_rmse_m < (0.05 if kind is OdometrySample else 0.03)
     # A gyro that is upside down distorts three scans of the first turn, until it is refused; its heading is
     # 0.34 to 0.37 deg off (seeds 1 to 6), without one 0.02 to 0.03.
-    assert np.degrees(done.heading_rmse_rad) < (0.4 if lie is upside_down else 0.2)
+    assert np.degrees(done.heading_rmse_rad) < (0.4 if change is upside_down else 0.2)

@@ -18,7 +18,7 @@ FROM_S, TO_S = 380.0, 389.0  # 2.2 m along a corridor whose doors are shut
 
 
 def test_chance_does_not_shorten_the_motion_along_a_corridor(shared: Path) -> None:
-    """Odometry is honest to 5 cm a scan there, and the scans hardly fix the position along the walls."""
+    """Odometry is correct to 5 cm a scan there, and the scans hardly fix the position along the walls."""
     frames = frames_of(shared / "datasets" / "intel" / "intel.mcap", SCANS)
     first_ns = next(frame.stamp_ns for frame in frames if isinstance(frame, LaserScan))
     frames = [frame for frame in frames if frame.stamp_ns > first_ns + BEGIN_S * 1e9]

@@ -25,7 +25,7 @@ NEAR_M = 0.6  # of the middle
 REPORTED_WITHIN_S = 10.0  # of the first scan that contradicted the map there
 
 
-def with_box_drawn(shown: RenderedMap) -> RenderedMap:
+def with_box(shown: RenderedMap) -> RenderedMap:
     """The shown map with BOX, which no scan saw."""
     at = pose_plan_map().inverse() @ SE2(*BOX)
     rows, columns = (np.arange(EDGE_M / 0.05, dtype=int) + round((m - EDGE_M / 2) / 0.05) for m in at[1::-1])
@@ -46,7 +46,7 @@ def test_what_was_put_down_and_taken_away_is_reported_within_seconds_and_nothing
     """People walk there, too."""
     _, begin = mapped_office()
     again = drive(office_with_box(BIN, (EDGE_M, EDGE_M)), LASER, 16.0, 4, Wheels(), stand_s=-2.0)
-    begin = BeginIn(begin.graph, with_box_drawn(begin.shown))
+    begin = BeginIn(begin.graph, with_box(begin.shown))
     mapper = build_mapper(mapping_config({"mode": "localization"}), {"front": FORWARD}, begin_in=begin)
     reported_ns: dict[bool, int] = {}
     for output in outputs_at_once(mapper, again.frames):

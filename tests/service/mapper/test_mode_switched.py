@@ -15,7 +15,7 @@ from service.outputs import MapperOutput, TileUpdate
 from tests.service.mapper.offices import through
 from tests.simulated import FORWARD, Drive
 
-HELD_NS, MAPPED_NS, SECONDS = 5_000_000_000, 10_000_000_000, 13.0
+LOCALIZED_NS, MAPPED_NS, SECONDS = 5_000_000_000, 10_000_000_000, 13.0
 
 
 @dataclass
@@ -43,7 +43,7 @@ def drive() -> Drive:
 def switched(drive: Drive) -> Switched:
     session = MappingSession(lambda: build_mapper(mapping_config(), {"front": FORWARD}), ["front"], None)
     outputs, answers = [], []
-    due = [(HELD_NS, "localization"), (MAPPED_NS, "mapping")]
+    due = [(LOCALIZED_NS, "localization"), (MAPPED_NS, "mapping")]
     for frame in drive.frames:
         if due and isinstance(frame, LaserScan) and frame.stamp_ns >= due[0][0]:
             stored = stored_now(session)

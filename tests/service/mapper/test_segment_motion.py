@@ -46,7 +46,7 @@ def test_a_segment_on_which_the_vehicle_goes_on_stands_still() -> None:
 def test_a_segment_on_which_the_vehicle_stops_at_once_may_move_with_it() -> None:
     seen = on_segment(0.0)
     since_s = [unmeasured_s for _, unmeasured_s in seen if unmeasured_s]
-    assert since_s == [pytest.approx(math.ceil(MAX_SIGMA_M / SPEED_MPS / STEP_S) * STEP_S)]  # said once
+    assert since_s == [pytest.approx(math.ceil(MAX_SIGMA_M / SPEED_MPS / STEP_S) * STEP_S)]  # reported once
     assert seen[2][0].segment_covariance[0, 0] == pytest.approx((2 * STEP_S * SPEED_MPS) ** 2)
     assert seen[-1][0].segment_covariance[0, 0] == UNKNOWN_SIGMA_M**2
 

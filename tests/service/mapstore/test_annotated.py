@@ -41,9 +41,9 @@ def test_what_is_unknown_around_is_cut_off_and_the_rest_keeps_its_place(picture)
 
 
 def test_the_path_the_origin_and_the_bar_are_where_they_belong(picture):
-    way = np.array([(-2.0, 2.0), (-2.0, -2.0), (6.0, -2.0)])
+    path = np.array([(-2.0, 2.0), (-2.0, -2.0), (6.0, -2.0)])
     other = np.array([(4.0, 2.0), (6.0, 2.0)])
-    shown = annotated(picture, [way, other])
+    shown = annotated(picture, [path, other])
     pixels = pixels_of(shown)
     assert PATH not in pixels[:, at(shown, 1.5, 0.0)[1]][: at(shown, 0.0, -1.5)[0]]  # no line joins the two
     for x_m, y_m in ((-2.0, 1.0), (-2.0, -1.9), (0.0, -2.0), (5.9, -2.0), (5.0, 2.0)):

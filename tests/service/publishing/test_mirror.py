@@ -36,10 +36,10 @@ with connect(sys.argv[1]) as session:
         pause.wait(0.01)
     live = max(version for version, _ in mirror.tiles.values())
     fetch()
-    held = {}
+    kept = {}
     for key, (version, _) in mirror.tiles.items():
-        held[key.split("/tile/")[1]] = [version, hashlib.sha256(mirror.cells(key).tobytes()).hexdigest()]
-    print(json.dumps({"joined_at": joined_at, "live": live, "complete_to": mirror.complete_to, "held": held}))
+        kept[key.split("/tile/")[1]] = [version, hashlib.sha256(mirror.cells(key).tobytes()).hexdigest()]
+    print(json.dumps({"joined_at": joined_at, "live": live, "complete_to": mirror.complete_to, "kept": kept}))
 """
 
 
@@ -90,7 +90,7 @@ def mapping(publisher, store) -> Iterator[object]:
         yield finish
 
 
-def held_by(store: TileStore) -> dict[str, list[object]]:
+def versions_in(store: TileStore) -> dict[str, list[object]]:
     return {
         f"{t.level}/{t.ix}/{t.iy}": [t.version, hashlib.sha256(t.cells.tobytes()).hexdigest()]
         for t in store.since(0)
@@ -105,7 +105,7 @@ def test_whoever_joins_while_the_map_changes_ends_with_the_same_map(join, mappin
     last = mapping()
     results = [json.loads(joiner.communicate(f"{last}\n", timeout=20.0)[0]) for joiner in joiners]
     for result in results:
-        assert result["held"] == held_by(store)
+        assert result["kept"] == versions_in(store)
         assert result["live"] == result["complete_to"] == last
         assert result["joined_at"] < last  # so what came after was heard, not asked for
     joined_at = [result["joined_at"] for result in results]

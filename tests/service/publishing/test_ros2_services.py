@@ -130,7 +130,7 @@ def test_load_map_takes_a_name_or_the_file_of_a_map_in_the_folder_of_maps(
     assert (response.result, response.map.info.width, response.map.data.max()) == (0, 64, 3)
 
 
-def test_load_map_answers_with_an_empty_map_while_none_is_drawn(session):
+def test_load_map_answers_with_an_empty_map_while_none_is_rendered(session):
     response = answer(session, "load_map", ros_services.LOAD_MAP, map_url="office")
     assert (response.result, response.map.info.width) == (0, 0)
 

@@ -1,4 +1,4 @@
-"""Strangers and people of each role at a service, by real Zenoh sessions over TLS or with passwords."""
+"""Clients without and with each role at a service, by real Zenoh sessions over TLS or with passwords."""
 
 import json
 import os
@@ -89,17 +89,17 @@ def test_subscribers_of_every_role_get_what_is_published(service, client_of):
 @pytest.mark.parametrize("name", ["viewer", "operator", "veh2"])
 def test_a_pose_or_a_map_that_someone_else_sends_reaches_no_subscriber(service, client_of, name):
     """They get those of the service alone. veh2 is of this site, and has no role here."""
-    heard, stranger = Inbox(), client_of(service.endpoints[0], name)
+    heard, client = Inbox(), client_of(service.endpoints[0], name)
     viewer = client_of(service.endpoints[0], "viewer")
     viewer.declare_subscriber(f"{ROOT}/**", heard)
     assert answers(viewer, f"{ROOT}/health")  # the service knows of the subscriber then
     service.put(message("pose", 1))
     heard.wait_for_one(lambda sample: str(sample.key_expr).endswith("/pose"))
     for key in (f"{ROOT}/pose", f"{ROOT}/map", f"{ROOT}/**", "**"):
-        stranger.put(key, b"FAKE")
-    stranger.delete(f"{ROOT}/pose")
-    stranger.declare_queryable(f"{ROOT}/**", lambda query: query.reply(f"{ROOT}/map", b"FAKE"), complete=True)
-    stranger.liveliness().declare_token(f"{ROOT}/alive/mapping")
+        client.put(key, b"FAKE")
+    client.delete(f"{ROOT}/pose")
+    client.declare_queryable(f"{ROOT}/**", lambda query: query.reply(f"{ROOT}/map", b"FAKE"), complete=True)
+    client.liveliness().declare_token(f"{ROOT}/alive/mapping")
     for key in ("map", "graph", "nothing"):  # the service has no map yet, and no answer
         assert answers(viewer, f"{ROOT}/{key}") == []
     assert list(viewer.liveliness().get(f"{ROOT}/alive/**")) == []
@@ -257,7 +257,7 @@ def test_a_late_advanced_subscriber_gets_the_last_message_of_a_viewers_topic(ser
         ({"security": {"roles": {"viewer": ["a:b"]}}}, "should match pattern"),
     ],
 )
-def test_an_endpoint_open_to_strangers_is_refused_with_what_to_write(settings, words):
+def test_an_endpoint_open_to_any_client_is_refused_with_what_to_write(settings, words):
     with pytest.raises(ValidationError, match=words):
         PublishingConfig(**settings)
 

@@ -1,4 +1,4 @@
-"""What strangers may take up, while those who are known are served: in small, as `make test` has the time."""
+"""Load by unknown clients while known ones are served, in short."""
 
 import time
 
@@ -34,10 +34,10 @@ def test_a_flood_of_commands_is_refused_at_once_and_others_are_served(service, e
 
     dispatcher = CommandDispatcher({"mark": Verb(Request, hang)}, answer_timeout_s=SERVED_S)
     service.answer_commands(dispatcher.answer)
-    flood, honest = open_client(endpoints["tcp"]), open_client(endpoints["tcp"])
+    flood, operator = open_client(endpoints["tcp"]), open_client(endpoints["tcp"])
     requested = [flood.get(f"{ROOT}/cmd/mark", timeout=20.0) for _ in range(200)]
     began_s = time.monotonic()
-    assert answers(honest, f"{ROOT}/health")
+    assert answers(operator, f"{ROOT}/health")
     assert time.monotonic() - began_s < SERVED_S
     refused = [reply.err.payload.to_string() for replies in requested for reply in replies]
     assert len(refused) == 200

@@ -35,7 +35,7 @@ LIVED_THROUGH = [
 
 
 class AskingSession:
-    """Asks at the first tick after an answer, and stamps a sample half-way between question and answer."""
+    """Asks at the first tick after an answer, and stamps a sample midway between request and answer."""
 
     def __init__(self) -> None:
         self.outbox = bytearray()

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 as rosbag leaves them when it is killed, and such as are cut off on their way."""
+"""Bags of ROS 1 as rosbag leaves them when it is killed, and truncated ones."""
 
 import struct
 from pathlib import Path

@@ -61,7 +61,7 @@ def test_it_goes_on_when_the_router_was_restarted(wire: ZenohWire):
         heard.wait_for(2)
         wire.cut()
         wire.restore()
-        heard.wait_for(len(heard.samples) + 20)  # more than can have been under way
+        heard.wait_for(len(heard.samples) + 20)  # more than can have been in transit
         assert health.state == "streaming"
 
 

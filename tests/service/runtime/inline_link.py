@@ -23,7 +23,7 @@ class InlineLink:
         prepare_profile: PrepareProfile = one_profile,
     ) -> None:
         self.now_ns = 0
-        self.said: list[Any] = []
+        self.sent: list[Any] = []
         self.items: list[Item] = []
         self._outputs = outputs
         self._is_deaf = is_deaf
@@ -51,7 +51,7 @@ class InlineLink:
     def _hear(self, message: Any) -> None:
         if isinstance(message, LongWork):
             return  # of a process
-        self.said.append(message)
+        self.sent.append(message)
         if not isinstance(message, Answer):
             self._outputs.heard(message)
         elif (answered := self._answered.pop(message.number, None)) is not None:

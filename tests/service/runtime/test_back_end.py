@@ -145,7 +145,7 @@ def test_where_a_copy_could_go_on_the_death_of_the_process_is_raised():
         os.kill(process.pid, signal.SIGKILL)
         with pytest.raises(BackEndDiedError, match="process died"):
             hanging.result()
-        with pytest.raises(WorkLostError, match="process died"):  # said once; nothing comes after it
+        with pytest.raises(WorkLostError, match="process died"):  # reported once, as the last
             worker.submit(1).result()
     finally:
         process.stop()
@@ -178,13 +178,13 @@ def test_the_copy_of_a_back_end_knows_all_up_to_the_copy_and_nothing_after(
     os.mkfifo(gate)
     worker = process.new_worker(Adder())
     assert worker.submit(1).result()[0] == 1
-    on_the_way = worker.submit(gate)
+    in_progress = worker.submit(gate)
     process.copy(tmp_path / "copy.sock")
     copy = forked_from(process)
     try:
         behind = worker.submit(100)
         gate.write_bytes(b"go on")
-        assert on_the_way.result()[0] == 11
+        assert in_progress.result()[0] == 11
         assert behind.result()[0] == 111
         assert ProcessJob(copy, 2).result()[0] == 11
         total, pid = ProcessWorker(copy).submit(1000).result()
@@ -274,7 +274,7 @@ def test_a_copy_that_does_not_come_costs_the_loops_and_nothing_else(
     process.forked(is_copy=False)
     assert not hanging.ready
     copy = BackEndProcess(patience_s=30.0)
-    copy._listener = socket.create_server(str(tmp_path / "nobody.sock"), family=socket.AF_UNIX)
+    copy._listener = socket.create_server(str(tmp_path / "unused.sock"), family=socket.AF_UNIX)
     copy.need()
     with pytest.raises(WorkLostError, match="of the stand-by did not come"):
         ProcessWorker(copy).submit(1).result()

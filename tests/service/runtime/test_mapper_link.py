@@ -209,7 +209,7 @@ def has_back_end_for_standby(drive: Drive) -> bool:
 
 
 def all_back_ends_of(mapper: int) -> dict[int, int]:
-    """Process -> its parent. Back ends give way to the mapper."""
+    """Process -> its parent. Back ends have a lower priority than the mapper."""
     its = look_at(mapper)
     assert its is not None
     return {

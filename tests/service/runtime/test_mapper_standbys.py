@@ -99,7 +99,7 @@ def is_sent_away(acted: Acted) -> bool:
     return False
 
 
-def test_a_copy_of_a_lost_mapper_that_is_under_way_still_goes_on(link: MapperLink):
+def test_a_copy_of_a_lost_mapper_that_is_being_made_still_goes_on(link: MapperLink):
     mapper = first_mapper(link)
     submit(link, 3)
     assert link.pid == FIRST

@@ -86,23 +86,23 @@ class Shown:
     """A mapping loop whose clock a test moves, and what comes of it beside the poses."""
 
     def __init__(self, *mappers: FakeMapper) -> None:
-        fresh, self.said, self.now_ns = iter(mappers), list[Any](), 10**9
+        fresh, self.sent, self.now_ns = iter(mappers), list[Any](), 10**9
         self.session = MappingSession(lambda: next(fresh), ["front"], None)
-        self.loop = MappingLoop(self.session, self.said.append, (), lambda: self.now_ns)
+        self.loop = MappingLoop(self.session, self.sent.append, (), lambda: self.now_ns)
         self._run = Run(FakeMapper())
 
     def later(self, channel: str, seconds: float = 1.0, is_idle: bool = True) -> list[Message]:
         """What is new on the channel."""
         self.now_ns += round(seconds * 1e9)
-        self.said.clear()
+        self.sent.clear()
         self.loop.keep_up(is_idle)
         self._run.put_out.clear()
-        for message in self.said:
+        for message in self.sent:
             self._run.outputs.heard(message)
         return [message for message in self._run.recorded if message.channel == channel]
 
 
-def test_the_graph_is_shown_when_it_was_drawn_again_and_taken_away_by_a_reset():
+def test_the_graph_is_shown_when_it_was_rendered_again_and_taken_away_by_a_reset():
     mapper = FakeMapper()
     shown = Shown(mapper, FakeMapper())
     assert shown.later("graph") == []

@@ -452,7 +452,7 @@ def open_broken_sink(section: object, context: SinkContext) -> BrokenSink:
     return BrokenSink()
 
 
-def test_a_sink_that_is_broken_in_every_way_costs_neither_mapping_nor_another_sink(
+def test_a_sink_with_every_fault_costs_neither_mapping_nor_another_sink(
     open_service: Callable[..., Service], monkeypatch: pytest.MonkeyPatch
 ):
     broken = SinkKind("recording", "none:none", f"{__name__}:open_broken_sink")

@@ -92,7 +92,7 @@ class Viewer:
 
 
 def talk(sink: FoxgloveSink, conversation: Callable[[Viewer], Awaitable[None]]) -> None:
-    wait_until(sink.place, words="it serves nobody")
+    wait_until(sink.place, words="it serves no client")
 
     async def hold() -> None:
         async with (

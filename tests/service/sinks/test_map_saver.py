@@ -23,7 +23,7 @@ from tests.service.mapstore.tile_makers import GEO, graph_of
 from tests.service.sinks.contexts import sink_context
 from tests.waiting import wait_until
 
-NOBODY = 4_194_305  # above every process id that Linux gives
+UNUSED_PID = 4_194_305  # above every process id that Linux gives
 
 
 def tile(version: int) -> TileUpdate:
@@ -278,7 +278,7 @@ def test_the_graph_that_was_reported_last_stays_while_the_back_end_puts_away_oth
 def test_the_graph_of_a_session_that_was_killed_is_removed_by_a_later_one(tmp_path: Path):
     long_gone, just_killed, living = (
         tmp_path / f".veh1_20251121T10000{k}Z.graph-{pid}"
-        for k, pid in enumerate((NOBODY, NOBODY, os.getpid()))
+        for k, pid in enumerate((UNUSED_PID, UNUSED_PID, os.getpid()))
     )
     for folder in (long_gone, just_killed, living):
         (folder / "map1").mkdir(parents=True)

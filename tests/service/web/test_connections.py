@@ -41,7 +41,7 @@ def get_icon(connection):
 
 
 def is_open(connection):
-    """Whether the service has not closed it by now; reads what it said."""
+    """Whether the service has not closed it by now; reads what it sent."""
     connection.setblocking(False)
     try:
         while connection.recv(65_536):
@@ -77,8 +77,8 @@ def test_of_connections_that_come_all_at_once_few_stay(narrow):
             assert select([one for one in crowd if is_open(one)], [], [], TIMEOUT_S)[0]
 
 
-@pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost:"])
-def test_whoever_sends_no_whole_request_is_disconnected_and_a_browser_stays(serve, monkeypatch, said):
+@pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost:"])
+def test_whoever_sends_no_whole_request_is_disconnected_and_a_browser_stays(serve, monkeypatch, sent):
     monkeypatch.setattr(connections, "IDLE_S", IDLE_S)
     server = serve()
 
@@ -86,7 +86,7 @@ def test_whoever_sends_no_whole_request_is_disconnected_and_a_browser_stays(serv
         async with client.socket() as socket:
             await client.next(socket, "hello")
             with connect(server) as idle:
-                idle.sendall(said)
+                idle.sendall(sent)
                 assert is_closed(idle)
             await client.ask(socket, type="token", token=TOKEN)  # it has been open for longer
             assert (await client.next(socket, "access"))["may_control"]
@@ -102,9 +102,9 @@ def test_what_is_no_http_is_let_go_and_fills_no_log(serve, caplog):
         b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Encoding: gzip\r\nContent-Length: 9\r\n\r\nxxxxx",
         b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nabcdefghij\r\nzz",
     ):
-        with connect(server) as stranger:
-            stranger.sendall(sent + b"\r\n\r\n")
-            while not is_closed(stranger):
+        with connect(server) as other:
+            other.sendall(sent + b"\r\n\r\n")
+            while not is_closed(other):
                 pass
     assert server.health().values["refused"] == "2"  # the other speaks TLS, say, and is nothing of note
     assert caplog.records == []

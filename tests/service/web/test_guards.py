@@ -1,4 +1,4 @@
-"""Who may do what at the page, and what it takes from strangers."""
+"""Access to the page, and its limits for unknown clients."""
 
 import contextlib
 import json
@@ -82,7 +82,7 @@ def test_who_asks_too_often_is_let_go(serve):
                 for number in range(round(3 * browser.ASKED_BURST)):
                     await client.ask(socket, type="command", n=number, verb="mark")
             code = await client.closed_with(socket)
-            # the second where what was still on its way met a closed socket
+            # the second where data in transit met a closed socket
             assert code in (aiohttp.WSCloseCode.POLICY_VIOLATION, aiohttp.WSCloseCode.ABNORMAL_CLOSURE)
 
     talk(serve(), ask)

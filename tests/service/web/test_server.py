@@ -156,7 +156,7 @@ def test_a_browser_that_never_reads_slows_nothing_and_is_let_go(serve, store, mo
     version = 0
 
     def put() -> None:
-        """Poses, and as much new map as fills every buffer on the way soon."""
+        """Poses, and as much new map as fills every buffer in between soon."""
         nonlocal version
         tiles = [tile(ix, 0, version + ix + 1, edge=256) for ix in range(8)]
         version += 8

@@ -116,7 +116,7 @@ def test_a_mounting_is_not_judged_while_ahead_and_behind_look_alike():
     assert compare([SE2()] * BATCH * 3, OPEN, [0.02, 0.12]).is_right
 
 
-def test_a_laser_that_looks_the_other_way_is_a_fault_that_one_batch_does_not_clear():
+def test_a_laser_that_looks_backwards_is_a_fault_that_one_batch_does_not_clear():
     for advantages in ([-0.3], [-0.3, 0.11]):
         check = compare([SE2()] * BATCH * 2, OPEN, advantages)
         assert not check.is_right

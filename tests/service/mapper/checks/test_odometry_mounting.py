@@ -15,7 +15,7 @@ from service.mapper.checks.stamp_check import BATCH
 SCAN_NS, LATE_NS = 20_000_000, 7_000_000  # odometry is sampled between scans
 
 
-def way(seconds: float) -> Callable[[float], SE2]:
+def path(seconds: float) -> Callable[[float], SE2]:
     """0.5 m/s, turning to one side and the other."""
     at_s = np.arange(0.0, seconds + 0.1, 0.001)
     heading = 1.2 * np.sin(0.4 * at_s)
@@ -38,7 +38,7 @@ def drive(
     Returns the faults at any time, "" among them where there was none.
     """
     faults = set()
-    true, random = way(seconds), np.random.default_rng(seed)
+    true, random = path(seconds), np.random.default_rng(seed)
     for k in range(int(seconds * 1e9 / SCAN_NS)):
         stamp_ns = round(first_s * 1e9) + k * SCAN_NS
         at = true(k * SCAN_NS * 1e-9)
@@ -56,7 +56,7 @@ def sample(stamp_ns: int, pose: SE2) -> OdometrySample:
 
 
 @pytest.mark.parametrize(
-    ("offset", "sample_each", "said"),
+    ("offset", "sample_each", "reported"),
     [
         (SE2(0.0, 0.0, math.radians(-3.0)), 1, r"drives 3\.0 deg to the left"),
         (SE2(0.0, 0.0, math.radians(4.0)), 1, r"drives 4\.0 deg to the right"),
@@ -66,10 +66,10 @@ def sample(stamp_ns: int, pose: SE2) -> OdometrySample:
         (SE2(0.0, 0.25, 0.0), 1, r"around a point \+0\.00 m ahead and -0\.25 m left"),
     ],
 )
-def test_a_wrong_mounting_is_reported_with_its_figures(offset: SE2, sample_each: int, said: str):
+def test_a_wrong_mounting_is_reported_with_its_figures(offset: SE2, sample_each: int, reported: str):
     check = OdometryMounting()
     drive(offset, 60.0, check, sample_each=sample_each)
-    assert re.search(said, check.fault), check.fault
+    assert re.search(reported, check.fault), check.fault
     assert "corridor calibrate" in check.fault
 
 
@@ -159,8 +159,8 @@ def test_errors_of_odometry_show_no_mounting(steps: np.ndarray):
 
 @pytest.mark.parametrize(("is_mirrored", "is_named"), [(True, True), (False, False)])
 def test_a_laser_that_is_mounted_upside_down_contrary_to_its_config_is_named(is_mirrored, is_named):
-    """Its scans turn the other way than odometry; the map alone is as good as the right one."""
-    true, check = way(40.0), OdometryMounting()
+    """Its scans turn against odometry; the map alone is as good as the right one."""
+    true, check = path(40.0), OdometryMounting()
     for k in range(2000):
         stamp_ns, pose = k * SCAN_NS, true(k * SCAN_NS * 1e-9)
         seen = SE2(pose.x_m, -pose.y_m, -pose.theta_rad) if is_mirrored else pose

@@ -1,4 +1,4 @@
-"""Stamps of two lasers are held against each other by the turns that both saw."""
+"""Stamps of two lasers are compared by the turns of both."""
 
 import math
 from collections.abc import Callable

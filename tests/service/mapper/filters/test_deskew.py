@@ -32,7 +32,7 @@ def test_a_sweep_is_brought_to_its_middle() -> None:
     assert DeskewByTwist(BeamsConfig(), {"front": SE2()}).moment_of(seen) == seen.stamp_ns
 
 
-def test_a_sweep_the_other_way_round_is_mirrored() -> None:
+def test_a_sweep_in_the_other_direction_is_mirrored() -> None:
     deskew = DeskewByTwist(BeamsConfig(), {"front": SE2()})
     points = deskew(scan([2.0, 2.0], step_rad=-0.1), moving(0.0, 0.0, 0.0))
     np.testing.assert_allclose(points.xy_base[1], [2.0 * math.cos(0.1), -2.0 * math.sin(0.1)], atol=1e-9)

@@ -26,8 +26,8 @@ def points_of(xy_base: np.ndarray, stamp_ns: int = 0) -> Points:
 def square(half_m: float = 2.0, stamp_ns: int = 0) -> Points:
     """A square room around the base."""
     angle = np.arange(-math.pi, math.pi, STEP_RAD)
-    way = np.column_stack([np.cos(angle), np.sin(angle)])
-    return points_of(half_m / np.abs(way).max(axis=1)[:, None] * way, stamp_ns)
+    direction = np.column_stack([np.cos(angle), np.sin(angle)])
+    return points_of(half_m / np.abs(direction).max(axis=1)[:, None] * direction, stamp_ns)
 
 
 def match_at(pose: SE2, points: Points, state: State = "ok", submap: int | None = None) -> Match:

@@ -49,7 +49,7 @@ def test_only_what_changed_is_handed_out_with_rising_versions() -> None:
 
 
 @pytest.mark.parametrize(
-    ("pose", "after_s", "drawn"),
+    ("pose", "after_s", "is_new"),
     [
         (SE2(0.05, 0.0, 0.0), 0.1, False),
         (SE2(0.11, 0.0, 0.0), 0.1, True),
@@ -57,12 +57,14 @@ def test_only_what_changed_is_handed_out_with_rising_versions() -> None:
         (SE2(0.0, 0.0, 0.0), 0.6, True),
     ],
 )
-def test_a_scan_is_drawn_after_a_distance_a_turn_or_a_while(pose: SE2, after_s: float, drawn: bool) -> None:
+def test_a_scan_is_rendered_after_a_distance_a_turn_or_a_while(
+    pose: SE2, after_s: float, is_new: bool
+) -> None:
     shown = new_map()
     shown.insert(square(), SE2())
     shown.changed_tiles()
     shown.insert(square(stamp_ns=round(after_s * 1e9)), pose)
-    assert bool(shown.changed_tiles()) == drawn
+    assert bool(shown.changed_tiles()) == is_new
 
 
 def test_a_rendered_map_takes_the_place_of_all_there_was_with_rising_versions() -> None:
@@ -77,8 +79,8 @@ def test_a_rendered_map_takes_the_place_of_all_there_was_with_rising_versions() 
     second = shown.changed_tiles()
     assert min(t.version for t in second) > max(t.version for t in first)
     assert cell(second, 3.0, 0.21) > 60
-    assert cell(second, 1.0, 0.01) == -1  # as if it had never been drawn
-    assert cell(second, 1.0, 1.01) > 60  # what the rendered map does not hold
+    assert cell(second, 1.0, 0.01) == -1  # as if it had never been rendered
+    assert cell(second, 1.0, 1.01) > 60  # what the rendered map does not have
     assert (next(t for t in second if t.ix == 2).cells == -1).all()
 
 
@@ -100,7 +102,7 @@ def test_no_beam_clears_a_wall_that_a_person_drew() -> None:
 
 
 @pytest.mark.parametrize(("is_free", "expected"), [(True, 3), (False, -1)])
-def test_what_was_erased_is_gone_and_what_comes_later_is_drawn(is_free: bool, expected: int) -> None:
+def test_what_was_erased_is_gone_and_later_scans_are_rendered(is_free: bool, expected: int) -> None:
     shown = new_map()
     erased = [ROOM, ROOM, AreaToErase(CORNER, is_free)]
     shown.replace_by(shown.renderer.render(erased), ())

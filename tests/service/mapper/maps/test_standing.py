@@ -27,26 +27,26 @@ def at(grid: Grid, x_m: float, y_m: float) -> int:
 
 def test_a_cell_has_the_share_of_what_stands_in_it_longest_and_others_are_unknown() -> None:
     xy_odom = np.array([(0.05, 0.05), (0.06, 0.05), (3.05, -1.05)])
-    drawn = draw_standing(Standing(xy_odom, np.array([0.2, 0.85, 1.0]), 0.1), newest(SE2()))
-    assert drawn is not None
-    assert (drawn.cells.shape, drawn.cell_m) == ((12, 31), 0.1)
-    assert (at(drawn, 0.05, 0.05), at(drawn, 3.05, -1.05)) == (85, 100)
-    assert np.count_nonzero(drawn.cells != UNKNOWN) == 2
+    grid = draw_standing(Standing(xy_odom, np.array([0.2, 0.85, 1.0]), 0.1), newest(SE2()))
+    assert grid is not None
+    assert (grid.cells.shape, grid.cell_m) == ((12, 31), 0.1)
+    assert (at(grid, 0.05, 0.05), at(grid, 3.05, -1.05)) == (85, 100)
+    assert np.count_nonzero(grid.cells != UNKNOWN) == 2
 
 
 def test_it_lies_in_the_map_where_the_loops_put_it() -> None:
     moved = SE2(5.0, -2.0, math.pi / 2.0)
-    drawn = draw_standing(Standing(np.array([(1.05, 0.05)]), np.ones(1), 0.1), newest(SE2(), moved))
-    assert drawn is not None
-    assert drawn.cells.tolist() == [[100]]
-    assert (drawn.x_min_m, drawn.y_min_m) == pytest.approx((4.9, -1.0))
+    grid = draw_standing(Standing(np.array([(1.05, 0.05)]), np.ones(1), 0.1), newest(SE2(), moved))
+    assert grid is not None
+    assert grid.cells.tolist() == [[100]]
+    assert (grid.x_min_m, grid.y_min_m) == pytest.approx((4.9, -1.0))
 
 
 def test_what_is_far_from_the_vehicle_is_left_out() -> None:
     xy_odom = np.array([(100.0, 0.05), (100.0 + SHOWN_REACH_M + 1.0, 0.05), (0.0, 0.0)])
-    drawn = draw_standing(Standing(xy_odom, np.ones(3), 0.1), newest(SE2(99.0, 0.0, 0.0)))
-    assert drawn is not None
-    assert drawn.cells.shape == (1, 1)
+    grid = draw_standing(Standing(xy_odom, np.ones(3), 0.1), newest(SE2(99.0, 0.0, 0.0)))
+    assert grid is not None
+    assert grid.cells.shape == (1, 1)
     assert draw_standing(Standing(xy_odom, np.ones(3), 0.1), newest(SE2(300.0, 0.0, 0.0))) is None
 
 

@@ -82,7 +82,7 @@ def judged(case: Case) -> tuple[Verdict, State, float]:
     ("world", "for_s", "worst_m"),
     [
         in_soak("library", 15.0, 0.05),  # a third of the returns, on ground never seen
-        ("ring", 6.0, 0.15),  # a twelfth of them, and nothing else along the way
+        ("ring", 6.0, 0.15),  # a twelfth of them, and no other walls across the path
     ],
 )
 def test_a_line_on_the_floor_does_not_hold_the_vehicle(world: str, for_s: float, worst_m: float) -> None:

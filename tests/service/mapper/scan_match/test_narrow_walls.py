@@ -46,7 +46,7 @@ def test_doors_far_ahead_fix_the_position_along_a_corridor(monkeypatch: pytest.M
 
 
 def rough_face(noise: np.random.Generator, name: str) -> Points:
-    """Three points on a wall across the way, 6 m ahead or, of the laser `rear`, behind."""
+    """Three points on a wall across the path, 6 m ahead or, of the laser `rear`, behind."""
     xy = np.column_stack((6.04 + 0.01 * noise.uniform(-1.0, 1.0, 3), noise.uniform(1.0, 1.25, 3)))
     xy *= -1.0 if name == "rear" else 1.0
     points = points_of(xy)

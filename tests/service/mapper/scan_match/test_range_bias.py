@@ -21,19 +21,19 @@ def wave_m(range_m: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def honest() -> Drive:
+def undisturbed() -> Drive:
     """Two sides of the ring."""
     return drives(WORLDS["ring"](), replace(LMS100_50HZ, rate_hz=12.5), 28.0, [1], Wheels())[0]
 
 
-def test_ranges_that_err_in_waves_are_learnt_and_taken_out(honest: Drive) -> None:
+def test_ranges_that_err_in_waves_are_learnt_and_taken_out(undisturbed: Drive) -> None:
     biased = [
         replace(frame, range_m=(frame.range_m + wave_m(frame.range_m)).astype(np.float32))
         if isinstance(frame, LaserScan)
         else frame
-        for frame in honest.frames
+        for frame in undisturbed.frames
     ]
-    done = run(mapping_config(), replace(honest, frames=biased))
+    done = run(mapping_config(), replace(undisturbed, frames=biased))
     assert done.position_rmse_m < 0.03  # five phases and lengths of the wave: 6 to 23 mm
     curve_m = done.mapper.components.matcher.bias_m("front")
     known = (RANGE_M >= 1.0) & (RANGE_M <= 4.0)
@@ -44,7 +44,7 @@ def test_ranges_that_err_in_waves_are_learnt_and_taken_out(honest: Drive) -> Non
 
 
 def test_ranges_that_are_all_too_long_by_the_same_are_learnt_and_taken_out_of_the_map() -> None:
-    """30 mm in an office, of which the first metres are drawn with walls that much too far away."""
+    """30 mm in an office, of which the first metres are mapped with walls that much too far away."""
     laser = replace(LMS100_50HZ, rate_hz=12.5, model=replace(LMS100_50HZ.model, bias_m=0.03))
     (made,) = drives(WORLDS["office"](), laser, 28.0, [1], Wheels())
     done = run(mapping_config(), made)

@@ -63,7 +63,7 @@ def test_another_room_where_the_walls_of_this_one_should_be_seen_is_lost() -> No
 
 
 def test_after_a_pause_in_which_no_one_saw_the_motion_a_scan_has_to_lie_on_the_map() -> None:
-    """Half of the room is another: new ground where the way is known, not after 5 s without odometry."""
+    """Half of the room is another: new ground with odometry, not after 5 s without odometry."""
     xy = square().xy_base
     opened = points_of(np.where((np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 1.95)[:, None], 3.5 * xy, xy))
     seen = replace(predicted(SE2(0.02, 0.0, 0.0)), elapsed_s=5.0)
@@ -202,7 +202,7 @@ def test_the_points_come_back_deskewed_with_the_matched_twist() -> None:
     np.testing.assert_allclose(result.points.xy_base, still.xy_base, atol=0.004)
 
 
-def test_a_compared_scan_of_new_ground_is_not_drawn_onto_walls_that_look_alike() -> None:
+def test_a_compared_scan_of_new_ground_is_not_shifted_onto_similar_walls() -> None:
     """The map knows one end of a corridor, the scan the other: moved along it, all of it lies on the map."""
     known, seen = (
         points_of(np.vstack([np.column_stack((x_m, np.full(150, y_m))) for y_m in (1.0, -1.0)]))

@@ -16,7 +16,7 @@ LIMITS = Limits(speed_mps=1.0, acceleration_mps2=0.8, lateral_mps2=0.7, turn_rat
 
 
 def to_both_sides(laps: int = 1) -> World:
-    """The office without people: a lap one way, then the same way back."""
+    """The office without people: a lap, then the same path back."""
     back = [*reversed([tuple(point) for point in LAP[:-1]]), (START.x_m, START.y_m)]
     there_and_back: list[Leg] = [Follow(LAP, corner_radius_m=0.7), Follow(back, corner_radius_m=0.7)]
     drive = plan_drive(START, [*there_and_back * laps, Spin(math.pi), Pause(1.0)], LIMITS, repeats=True)

@@ -54,9 +54,7 @@ def session(frames, tmp_path_factory):
 
 
 class RememberedMapping:
-    """Maps with the scans of a laser, and the same scans only once: what config or wheels say changes no way
-    of a laser.
-    """
+    """Maps with the scans of a laser, each once: config and wheels change no path of a laser."""
 
     known: ClassVar = {}  # digest of the scans -> track
 
@@ -170,12 +168,12 @@ def test_a_recorded_config_that_cannot_be_read_is_refused_unless_another_is_give
 
 def test_without_a_config_there_is_a_patch_of_what_the_recording_names(session, capsys):
     assert main(["calibrate", str(session), "--reference", "rear"]) == 0
-    said = capsys.readouterr().out
-    assert "times are against rear" in said
-    patch = yaml.safe_load(said[said.index("sensors:") :])
+    printed = capsys.readouterr().out
+    assert "times are against rear" in printed
+    patch = yaml.safe_load(printed[printed.index("sensors:") :])
     assert patch["sensors"]["front"]["mounting"]["x_m"] == pytest.approx(FRONT.x_m, abs=0.01)
     assert patch["sensors"]["front"]["latency_ms"] == pytest.approx(7.0, abs=1.5)
-    assert "wheel_base_m" not in patch["sensors"]["base"]  # no one said what it was
+    assert "wheel_base_m" not in patch["sensors"]["base"]  # it was not given
 
 
 @pytest.mark.parametrize(

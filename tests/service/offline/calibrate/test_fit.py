@@ -1,4 +1,4 @@
-"""The fit alone, on ways that need no map: what lasers would have found, with the noise of their poses."""
+"""The fit alone, on paths without a map: poses as of lasers, with the noise of their poses."""
 
 import math
 

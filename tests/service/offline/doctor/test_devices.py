@@ -1,4 +1,4 @@
-"""The doctor against things on real wires: good devices, ill ones, and strangers."""
+"""The doctor on real wires: good devices, faulty ones, and other programs."""
 
 import random
 import threading

@@ -42,7 +42,7 @@ def taken() -> Iterator[int]:
         yield door.getsockname()[1]
 
 
-def test_a_port_that_a_stranger_took_is_a_fault(taken: int):
+def test_a_port_that_another_program_took_is_a_fault(taken: int):
     finding, running = look(Machine(), f"tcp/127.0.0.1:{taken}")
     assert finding.severity == "fault"
     assert f"tcp/127.0.0.1:{taken} is taken by " in finding.measured

@@ -48,12 +48,12 @@ def test_a_vehicle_with_a_fault_exits_with_1_and_says_what_to_do(
 ):
     config = written(tmp_path, closed_port, "/dev/corridor/nothing")
     assert main(["doctor", str(config)]) == 1
-    said = capsys.readouterr().out
-    assert f"nothing listens at port {closed_port}" in said
-    assert "/dev/corridor/nothing is not there" in said
-    assert "to do: " in said
-    assert said.endswith("2 faults\n")
-    assert "\x1b" not in said
+    printed = capsys.readouterr().out
+    assert f"nothing listens at port {closed_port}" in printed
+    assert "/dev/corridor/nothing is not there" in printed
+    assert "to do: " in printed
+    assert printed.endswith("2 faults\n")
+    assert "\x1b" not in printed
 
 
 @pytest.mark.parametrize("text", ["vehicle: veh1\nsensors: {front: {type: sick_lms1000}}\n", "a: [", ""])

@@ -44,7 +44,7 @@ ARP = "IP address HW type Flags HW address Mask Device\n192.168.0.1 0x1 0x{} 00:
         (VEHICLE_NET, "", errno.EPROTO, "cannot connect to 192.168.0.1:2111"),
     ],
 )
-def test_each_way_to_fail_has_its_own_words(tree: FakeTree, route: str, arp: str, number: int, words: str):
+def test_each_failure_has_its_own_text(tree: FakeTree, route: str, arp: str, number: int, words: str):
     tree.write("/proc/net/route", HEAD + route)
     tree.write("/proc/net/arp", arp)
     finding = call_failed(tree.machine(), "front", "192.168.0.1", 2111, failed(number))
@@ -55,10 +55,10 @@ def test_each_way_to_fail_has_its_own_words(tree: FakeTree, route: str, arp: str
 def test_a_name_without_an_address_is_reported(monkeypatch: pytest.MonkeyPatch):
     assert resolve("front", "127.0.0.1", 2111) == ("127.0.0.1", None)
 
-    def nobody(*_: object, **__: object) -> None:
+    def no_address(*_: object, **__: object) -> None:
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
-    monkeypatch.setattr(socket, "getaddrinfo", nobody)
+    monkeypatch.setattr(socket, "getaddrinfo", no_address)
     _, finding = resolve("front", "front-scanner", 2111)
     assert finding is not None
     assert "front-scanner has no address" in finding.measured

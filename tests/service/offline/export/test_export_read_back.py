@@ -62,8 +62,8 @@ def test_dxf_by_ezdxf(replayed, tmp_path):
     walls = [line for line in space.query("LWPOLYLINE") if line.dxf.layer == "WALLS"]
     assert [np.array(w.get_points("xy")).tolist() for w in walls] == [o.tolist() for o in outlines(PICTURE)]
     assert all(wall.closed for wall in walls)
-    (way,) = [line for line in space.query("LWPOLYLINE") if line.dxf.layer == "TRAJECTORY"]
-    assert way.get_points("xy") == [(p.x_m, p.y_m) for p in POSES]
+    (path,) = [line for line in space.query("LWPOLYLINE") if line.dxf.layer == "TRAJECTORY"]
+    assert path.get_points("xy") == [(p.x_m, p.y_m) for p in POSES]
     export(replayed, "dxf", tmp_path / "hall.dxf")
     assert (tmp_path / "hall.dxf").read_bytes() == first
 
@@ -79,9 +79,9 @@ def test_svg_is_to_scale_by_svgelements(replayed, tmp_path):
     left, _, right, _ = by_id["scale_bar"].bbox(with_stroke=False)
     words = [element.text for element in drawing.elements() if isinstance(element, svgelements.Text)]
     assert f"{(right - left) / 10:.0f} m" in words
-    way = by_id["trajectory"]
-    assert abs(way[-1].x - way[0].x) == pytest.approx(10 * (POSES[-1].x_m - POSES[0].x_m), abs=0.1)
-    assert way[-1].y - way[0].y == pytest.approx(10 * (POSES[0].y_m - POSES[-1].y_m), abs=0.1)  # y upwards
+    path = by_id["trajectory"]
+    assert abs(path[-1].x - path[0].x) == pytest.approx(10 * (POSES[-1].x_m - POSES[0].x_m), abs=0.1)
+    assert path[-1].y - path[0].y == pytest.approx(10 * (POSES[0].y_m - POSES[-1].y_m), abs=0.1)  # y upwards
 
 
 @pytest.mark.parametrize(("is_known", "word"), [(True, "N"), (False, "y")])

@@ -1,4 +1,4 @@
-"""What is written of a way and a map on the earth lies where the reference puts it."""
+"""Exported paths and maps on the earth lie where the reference places them."""
 
 import csv
 import json
@@ -23,11 +23,11 @@ def earth(pose: SE2) -> tuple[float, float]:
 
 
 def test_geojson_and_kml_are_a_line_of_longitude_and_latitude(anchored, tmp_path):
-    export(anchored, "geojson", tmp_path / "way.geojson")
-    feature, *_ = json.loads((tmp_path / "way.geojson").read_text())["features"]
+    export(anchored, "geojson", tmp_path / "path.geojson")
+    feature, *_ = json.loads((tmp_path / "path.geojson").read_text())["features"]
     assert feature["geometry"]["type"] == "LineString"
-    export(anchored, "kml", tmp_path / "way.kml")
-    root = ElementTree.parse(tmp_path / "way.kml").getroot()
+    export(anchored, "kml", tmp_path / "path.kml")
+    root = ElementTree.parse(tmp_path / "path.kml").getroot()
     text = root.find(".//{http://www.opengis.net/kml/2.2}coordinates").text
     places = [place.split(",") for place in text.split()]
     for line in (feature["geometry"]["coordinates"], places):
@@ -43,10 +43,10 @@ def test_geojson_is_cut_where_it_crosses_the_meridian_of_180_degrees(anchored, t
     write_geo(anchored / "geo.json", fiji)
     there_and_back = [SE2(x_m, 0.4 * x_m) for x_m in (0.0, 1.0, 3.0, 5.0, 2.0, 0.5)]  # it lies 2.1 m east
     write_tum(anchored / "trajectory.tum", zip(range(6), there_and_back, strict=True))
-    export(anchored, "geojson", tmp_path / "way.geojson")
-    way, *_ = json.loads((tmp_path / "way.geojson").read_text())["features"]
-    assert way["geometry"]["type"] == "MultiLineString"
-    out, beyond, back = way["geometry"]["coordinates"]
+    export(anchored, "geojson", tmp_path / "path.geojson")
+    path, *_ = json.loads((tmp_path / "path.geojson").read_text())["features"]
+    assert path["geometry"]["type"] == "MultiLineString"
+    out, beyond, back = path["geometry"]["coordinates"]
     assert (len(out), len(beyond), len(back)) == (3, 4, 3)
     for line, side_deg in ((out, 180.0), (beyond, -180.0), (back, 180.0)):
         assert all(179.9999 < longitude / math.copysign(1.0, side_deg) <= 180.0 for longitude, _ in line)
@@ -57,8 +57,8 @@ def test_geojson_is_cut_where_it_crosses_the_meridian_of_180_degrees(anchored, t
 
 
 def test_csv_has_both_frames_and_the_compass(anchored, tmp_path):
-    export(anchored, "csv", tmp_path / "way.csv")
-    rows = list(csv.DictReader((tmp_path / "way.csv").read_text().splitlines()))
+    export(anchored, "csv", tmp_path / "path.csv")
+    rows = list(csv.DictReader((tmp_path / "path.csv").read_text().splitlines()))
     assert [row["stamp_s"] for row in rows[:2]] == ["1700000000.000000001", "1700000000.020000004"]
     assert float(rows[4]["x_m"]) == 10.0
     place = float(rows[4]["latitude_deg"]), float(rows[4]["longitude_deg"])
@@ -80,5 +80,5 @@ def test_what_no_place_on_the_earth_can_be_given_is_refused_in_words(anchored, t
     if geo is not None:
         (anchored / "geo.json").write_text(geo)
     with pytest.raises(InputError, match=words):
-        export(anchored, to, tmp_path / f"way.{to}")
-    assert not (tmp_path / f"way.{to}").exists()
+        export(anchored, to, tmp_path / f"path.{to}")
+    assert not (tmp_path / f"path.{to}").exists()

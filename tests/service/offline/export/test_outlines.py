@@ -22,7 +22,7 @@ def area_m2(points):
     return 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
 
 
-def test_a_hole_goes_round_the_other_way():
+def test_a_hole_goes_round_in_the_other_direction():
     outer, hole = sorted(outlines(picture(["#####", "#...#", "#...#", "#...#", "#####"])), key=area_m2)[::-1]
     assert sorted(map(tuple, outer.tolist())) == [(-3.0, 2.0), (-3.0, 4.5), (-0.5, 2.0), (-0.5, 4.5)]
     assert area_m2(outer) == pytest.approx(25 * CELL_M**2)

@@ -210,7 +210,7 @@ def test_a_log_that_cannot_be_mapped_is_refused_in_words(tmp_path, text, words):
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_an_import_that_is_under_way_is_not_disturbed(tmp_path):
+def test_an_import_that_is_running_is_not_disturbed(tmp_path):
     log = tmp_path / "run.log"
     log.write_text(flaser("1.0", (0, 0, 0)))
     (tmp_path / "out.mcap.active").write_bytes(b"")

@@ -29,7 +29,7 @@ class BentMap:
 
     graph: SavedGraph
     truth: Floats  # (N, 3) pose_map_base
-    tiles: Sequence[TileUpdate]  # as it is drawn
+    tiles: Sequence[TileUpdate]  # as it is shown
 
     def error_m(self, graph: SavedGraph) -> float:
         """How far the key frame that lies worst is from the truth."""
@@ -76,14 +76,14 @@ def bent_map() -> BentMap:
     moved = np.array([begin[0] + SHIFTED_M[0], begin[1] + SHIFTED_M[1], begin[2] + TURNED_RAD])
     poses, segment = graph.map.copy(), graph.segment.copy()
     poses[ROUND:] = se2.compose(moved, se2.between(begin, graph.map[ROUND:]))
-    segment[ROUND:] = segment.max() + 1  # odometry says nothing of how it lies to the first round
+    segment[ROUND:] = segment.max() + 1  # odometry does not relate it to the first round
     true_poses = np.array([(pose.x_m, pose.y_m, pose.theta_rad) for pose in truth])
     bent = replace(graph, map=poses, segment=segment)
     return BentMap(bent, true_poses, tiles_of(bent))
 
 
 def save_bent(folder: Path, bent: BentMap) -> Path:
-    """Stored as it was drawn."""
+    """Stored as it was shown."""
     save_map(folder, bent.tiles, 1_000, {"vehicle": "veh1"}, graph=bent.graph)
     return folder
 

@@ -1,4 +1,4 @@
-"""The way that was driven, in a map that was bent and cut afterwards."""
+"""The path driven, in a map that was bent and cut afterwards."""
 
 from dataclasses import replace
 
@@ -32,10 +32,10 @@ def test_the_path_meets_the_moved_key_frames_and_bends_evenly_between(graph, dri
     moved[10:] = se2.compose(np.array([0.3, -0.1, 0.04]), graph.map[10:])
     expected = poses.copy()
     expected[40:] = se2.compose(np.array([0.3, -0.1, 0.04]), poses[40:])
-    _, way = corrected_path(stamp_ns, poses, graph, replace(graph, map=moved))
+    _, path = corrected_path(stamp_ns, poses, graph, replace(graph, map=moved))
     between = np.arange(36, 40)
-    np.testing.assert_allclose(np.delete(way, between, 0), np.delete(expected, between, 0), atol=1e-9)
+    np.testing.assert_allclose(np.delete(path, between, 0), np.delete(expected, between, 0), atol=1e-9)
     whole = se2.compose(np.array([0.3, -0.1, 0.04]), poses[between])
     share = ((stamp_ns[between] - graph.stamp_ns[9]) / (graph.stamp_ns[10] - graph.stamp_ns[9]))[:, None]
-    np.testing.assert_allclose(way[between], poses[between] + share * (whole - poses[between]), atol=1e-9)
+    np.testing.assert_allclose(path[between], poses[between] + share * (whole - poses[between]), atol=1e-9)
     assert corrected_path(np.empty(0, np.int64), np.empty((0, 3)), graph, graph)[1].shape == (0, 3)

@@ -85,7 +85,7 @@ def test_an_erased_area_is_gone_and_all_else_is_as_it_was(ring, graph):
         assert (new.cells[differs[:, 0], differs[:, 1]] == -1).all()
     assert changed > 100
     assert cell(after.tiles, 4.3, -0.7) == -1
-    edit(ring, "--optimize")  # drawn again, it stays gone
+    edit(ring, "--optimize")  # rendered again, it stays erased
     assert cell(load_map(ring).tiles, 4.3, -0.7) == -1
     np.testing.assert_allclose(graph_in(ring).map, after.graph.map, atol=1e-3)  # it was solved before
     assert cell(load_map(ring).tiles, 2.0, -1.0) > 65 or cell(load_map(ring).tiles, 2.0, -1.04) > 65

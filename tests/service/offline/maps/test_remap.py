@@ -1,4 +1,4 @@
-"""A bin was put beside the way since the office was mapped: its area is driven again; only that changes."""
+"""A bin was put beside the path since the office was mapped: its area is driven again; only that changes."""
 
 import io
 import json
@@ -49,7 +49,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 def recorded(path: Path, seconds: float) -> Path:
-    """The same way again, past the bin."""
+    """The same path again, past the bin."""
     made = drive(office_with_box(BIN, (BIN_M, BIN_M)), LASER, seconds, 4, Wheels())
     messages: list[Message] = [encode_tf_static({"front": FORWARD}, T0_NS, T0_NS)]
     messages += [encode_frame(frame, T0_NS) for frame in made.frames]
@@ -59,14 +59,14 @@ def recorded(path: Path, seconds: float) -> Path:
 
 @pytest.fixture(scope="module")
 def remapped(folder, tmp_path_factory) -> tuple[StoredMap, dict, StoredMap]:
-    """By the command: the map before, what it said, and the map after."""
-    before, said = load_map(folder), io.StringIO()
+    """By the command: the map before, its output, and the map after."""
+    before, output = load_map(folder), io.StringIO()
     recording = recorded(tmp_path_factory.mktemp("drives") / "later.mcap", 14.0)
     area = [f"{length_m:.9f}" for length_m in lengths(*AREA_M)]
     command = ["map", "remap", str(folder), str(recording), "--area", *area, "--who", "ada", "--json"]
-    with redirect_stdout(said):
+    with redirect_stdout(output):
         assert main(command) == 0
-    return before, json.loads(said.getvalue()), load_map(folder)
+    return before, json.loads(output.getvalue()), load_map(folder)
 
 
 def cells_of(stored: StoredMap) -> dict[tuple[int, int], np.ndarray]:
@@ -94,7 +94,7 @@ def test_the_bin_is_in_the_map_now_and_every_cell_outside_of_the_area_is_as_it_w
     assert (facts["version"], facts["version_before"]) == (after.number, before.number)
     assert (after.edit.who, after.edit.what) == ("ada", "remap")
     assert is_in_area(xy).all()
-    x_m, y_m = in_map(BIN[0], BIN[1] - BIN_M / 2.0)  # its side towards the way
+    x_m, y_m = in_map(BIN[0], BIN[1] - BIN_M / 2.0)  # its side towards the path
     column, row = math.floor(x_m / 0.05), math.floor(y_m / 0.05)
     near = [
         new[(column + q) // 64, (row + r) // 64][(row + r) % 64, (column + q) % 64]

@@ -14,7 +14,7 @@ from tests.service.recording.sessions import write_file
 LASTS_S = 20.0
 PERIOD_S = 0.1  # of poses and scans of both lasers
 DEGRADED_S = (7.0, 9.0)  # reported by the health of each second
-MAPS_S = {5.0: (4.0, 2.5), 10.0: (8.0, 5.0), 15.0: (6.0, 3.0)}  # half width and height of the room drawn
+MAPS_S = {5.0: (4.0, 2.5), 10.0: (8.0, 5.0), 15.0: (6.0, 3.0)}  # half width and height of the room shown
 MARK_S, GRAPH_S, RESET_S = 3.0, 6.0, 12.05
 CHANGED_S = {3.0: 100, 5.0: 0}  # of one cell, which is new and then gone
 STANDING_S = {2.0: 20, 4.0: 40, 14.0: 60}  # of one cell, per cent
@@ -45,9 +45,9 @@ def past_messages() -> list[Message]:
         messages += [health] if k % 10 == 0 else []
         messages += [mountings] if k == 0 else []
         messages.append(event('{"event": "apply_result"}', seconds))
-    way = np.array([(0.0, 0.0), (1.0, 1.0)], np.float32)
+    path = np.array([(0.0, 0.0), (1.0, 1.0)], np.float32)
     messages += [encode_grid(room(*half_m), stamp(s), stamp(s)) for s, half_m in MAPS_S.items()]
-    messages += [encode_graph(GraphPicture(stamp(GRAPH_S), [way], NO_ENDS, NO_ENDS), stamp(GRAPH_S))]
+    messages += [encode_graph(GraphPicture(stamp(GRAPH_S), [path], NO_ENDS, NO_ENDS), stamp(GRAPH_S))]
     messages += [
         event('{"event": "mark", "text": "a door"}', MARK_S),
         event('{"event": "reset_map"}', RESET_S),

@@ -52,15 +52,15 @@ def test_a_port_that_is_taken_is_reported(shown, files, caplog):
     taken = shown.address.partition("#")[0].removeprefix("http://").rstrip("/")
     with pytest.raises(StorageError, match="--listen"):
         RecordingView(files, taken)
-    assert caplog.text == ""  # said once, by the error
+    assert caplog.text == ""  # reported once, by the error
 
 
 def test_the_command_says_where_it_shows_until_it_is_interrupted(files):
     command = [sys.executable, "-m", "service", "view", "--json", *map(str, files), "--listen", ANY_PORT]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        said = json.loads(process.stdout.readline())
-        assert said["address"].startswith("http://127.0.0.1:")
+        printed = json.loads(process.stdout.readline())
+        assert printed["address"].startswith("http://127.0.0.1:")
         process.send_signal(2)
         assert process.wait(TIMEOUT_S) == 0
 

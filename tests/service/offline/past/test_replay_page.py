@@ -56,10 +56,10 @@ def test_the_page_shows_the_map_that_is_written_its_path_and_what_the_scans_saw(
             shown = cells_of(await client.next(socket, TILES))
             written = {(t.ix, t.iy): t.cells.tobytes() for t in done.tiles if (t.cells != UNKNOWN).any()}
             assert shown == written
-            way = await path_of(client, socket)
-            while len(way) < 2 or way[-1, 0] < 0.5:  # the first may be of a moment before the end
-                way = await path_of(client, socket)
-            ends = way[[0, -1]]
+            path = await path_of(client, socket)
+            while len(path) < 2 or path[-1, 0] < 0.5:  # the first may be of a moment before the end
+                path = await path_of(client, socket)
+            ends = path[[0, -1]]
             np.testing.assert_allclose(ends, [[0.0, 0.0], [0.55, 0.0]], atol=0.06)
             by_name: dict[str, dict[str, str]] = {}
             while by_name.get("mapping", {}).get("state") != "finished":
@@ -75,7 +75,7 @@ def test_the_page_shows_the_map_that_is_written_its_path_and_what_the_scans_saw(
 
 
 async def path_of(client: Any, socket: Any) -> Any:
-    """The next whole path; pieces that go on from it are passed over."""
+    """The next whole path; stretches after it are skipped."""
     while (message := await client.next(socket, PATH))[1]:
         pass
     return np.frombuffer(message, "<f4", offset=8).reshape(-1, 2)
@@ -126,7 +126,7 @@ def test_a_replay_is_halted_sent_ahead_and_let_go_from_the_page(
             values = await state_of("paused", 0.4)
             assert float(values["position_s"]) == pytest.approx(0.4, abs=0.021)
             pose = await client.next(socket, "pose")
-            while pose["x_m"] < 0.17:  # on its way there
+            while pose["x_m"] < 0.17:  # before it is there
                 pose = await client.next(socket, "pose")
             assert pose["x_m"] == pytest.approx(0.2, abs=0.03)  # half a metre a second
             backwards = await command("replay_go_to", position_s=0.1)

@@ -41,19 +41,19 @@ FILES = (
 
 
 def replay_of(bent: BentMap) -> Replay:
-    """A drive along the key frames of the bent map, with a scan half way between two of them."""
+    """A drive along the key frames of the bent map, with a scan in the middle between two of them."""
     ns, poses = bent.graph.stamp_ns, bent.graph.map
     stamps = np.sort(np.concatenate((ns, ns[:-1] + np.diff(ns) // 2))).tolist()
     xy = np.column_stack([np.interp(stamps, ns, poses[:, k]) for k in (0, 1)])
     theta = np.interp(stamps, ns, np.unwrap(poses[:, 2]))
-    way = [SE2(x, y, a) for (x, y), a in zip(xy.tolist(), theta.tolist(), strict=True)]
+    path = [SE2(x, y, a) for (x, y), a in zip(xy.tolist(), theta.tolist(), strict=True)]
     rest = SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", NO_REASON, 1.0
-    outputs = [MapperOutput(stamp_ns, pose, *rest) for stamp_ns, pose in zip(stamps, way, strict=True)]
+    outputs = [MapperOutput(stamp_ns, pose, *rest) for stamp_ns, pose in zip(stamps, path, strict=True)]
     summary = {"profile": "corridor", "keyframes": len(bent.graph), "loop_closures": 0, "map_tiles": 1}
     g2o = to_g2o(graph_of(bent.graph))
     lasers = ["front"] * len(outputs)
     return Replay(
-        outputs, lasers, {}, frozenset(), way, list(bent.tiles), g2o, summary, geo=GEO, graph=bent.graph
+        outputs, lasers, {}, frozenset(), path, list(bent.tiles), g2o, summary, geo=GEO, graph=bent.graph
     )
 
 
@@ -129,7 +129,7 @@ def test_an_undo_brings_back_every_file(result, bent):
     edit(result, "--undo")
     after = files_of(result)
     for files in before, after:
-        del files["map.png"]  # drawn from the TUM file: a pixel at the edge of a cell may differ
+        del files["map.png"]  # made of the TUM file: a pixel at the edge of a cell may differ
     facts = json.loads(after.pop("summary.json"))
     assert facts == json.loads(before.pop("summary.json")) | {
         "map_version": 3,

@@ -88,8 +88,8 @@ def test_a_replay_says_where_the_map_lies_and_export_uses_it(
     assert summary["fixes"]["anchoring"] == reference.fixes > 20
     assert (folder / "map.pgw").exists()
     assert (folder / "map.png.aux.xml").exists()
-    export(folder, "geojson", tmp_path / "way.geojson")
-    feature, walls = json.loads((tmp_path / "way.geojson").read_text())["features"]
+    export(folder, "geojson", tmp_path / "path.geojson")
+    feature, walls = json.loads((tmp_path / "path.geojson").read_text())["features"]
     assert walls["properties"]["name"] == "walls"
     origin, off_m = Receiver(GnssModel(), 1).origin, []
     for (longitude, latitude), pose in zip(

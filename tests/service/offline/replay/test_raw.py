@@ -149,6 +149,6 @@ def test_a_recording_that_lacks_something_is_refused_in_words(
     capsys: pytest.CaptureFixture[str],
 ):
     assert main(["replay", str(record(tmp_path, links, **lacks)), "--from-raw"]) == InputError.exit_code
-    said = capsys.readouterr().err
-    assert re.search(words, said), said
-    assert "Traceback" not in said
+    printed = capsys.readouterr().err
+    assert re.search(words, printed), printed
+    assert "Traceback" not in printed

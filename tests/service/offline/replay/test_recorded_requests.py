@@ -1,4 +1,4 @@
-"""Recordings in which another map was loaded, or the profile switched, on the way: a room, driven again."""
+"""Recordings in which another map was loaded, or the profile switched: a room, driven again."""
 
 import json
 import logging

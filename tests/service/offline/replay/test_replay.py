@@ -182,13 +182,13 @@ def test_a_session_that_cannot_be_read_keeps_no_other_back(
     bad.write_text("no recording")
     requested = ["replay", *map(str, (bad, good, old)), "--out", str(tmp_path / "out"), "--jobs", jobs]
     assert main([*requested, "--json"]) == InputError.exit_code
-    said = capfd.readouterr()
-    facts = json.loads(said.out)
+    printed = capfd.readouterr()
+    facts = json.loads(printed.out)
     assert "bad.mcap is no recording" in facts[str(bad)]["error"]
     assert facts[str(good)]["scans"] == 40
     assert (Path(facts[str(good)]["out"]) / "map.png").exists()
     assert "recorded config:1:" in facts[str(old)]["error"]
-    assert facts[str(bad)]["error"] in said.err
+    assert facts[str(bad)]["error"] in printed.err
 
 
 def test_a_config_or_a_profile_that_cannot_be_used_is_a_config_error(record_drive: RecordDrive):

@@ -1,4 +1,4 @@
-"""Recordings whose stamps or time fields are wrong: the topic is named, and live maps them the same way."""
+"""Recordings whose stamps or time fields are wrong: the topic is named, and live maps them the same."""
 
 import math
 from collections.abc import Callable

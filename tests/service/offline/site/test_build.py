@@ -42,7 +42,7 @@ FRAMES = {"a": SE2(), "b": SE2(3.0, -2.0, 0.7), "c": SE2(-5.0, 1.0, -2.0), "d": 
 FIRST = {"a": 0, "b": 40, "c": 90, "d": 10}  # key frame of the ring that each drive begins with
 BEAMS = 91
 COUNT = 120  # key frames of each, of 153 in a round
-CRATE = (14.1, 4.0, 14.7, 4.7)  # m: from x, y to x, y, beside the way of a and b
+CRATE = (14.1, 4.0, 14.7, 4.7)  # m: from x, y to x, y, beside the path of a and b
 ORIGIN = LocalFrame(48.1, 11.5, 500.0)
 
 
@@ -284,7 +284,7 @@ def killed(*_: Any) -> None:
     raise KeyboardInterrupt
 
 
-def test_a_full_disk_is_told_and_the_map_stays(grown, drives, monkeypatch):
+def test_a_full_disk_is_reported_and_the_map_stays(grown, drives, monkeypatch):
     def full(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 

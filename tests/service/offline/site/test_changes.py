@@ -1,4 +1,4 @@
-"""What changed between sessions, told from what each saw: a room of 10 m, drawn as evidence."""
+"""Changes between sessions by the walls of each: a room of 10 m as evidence."""
 
 import numpy as np
 import pytest

@@ -181,10 +181,10 @@ def test_the_command_searches_real_drives_without_a_truth(
     sessions, out = [str(record_drive(name, scans=12)) for name in "ab"], tmp_path / "out"
     options = ["--trials", "1", "--out", str(out), "--parameter", "wall_sigma_m"]
     assert main(["tune", *sessions, "--self", *options]) == 0
-    said = capfd.readouterr()
-    assert "cost by the results themselves" in said.out
-    assert "1 of 1 trials" in said.err
-    assert yaml.safe_load(said.out)["mapping"]["profile"] == "corridor"
+    printed = capfd.readouterr()
+    assert "cost by the results themselves" in printed.out
+    assert "1 of 1 trials" in printed.err
+    assert yaml.safe_load(printed.out)["mapping"]["profile"] == "corridor"
     assert (out / "tune.html").read_text().startswith("<!DOCTYPE html>")
     best, present = ({path.name for path in (out / name).iterdir()} for name in ("best", "present"))
     assert best == present

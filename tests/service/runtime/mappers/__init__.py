@@ -1,4 +1,4 @@
-"""Mapper's processes that misbehave. What they do is said in the environment."""
+"""Mapper's processes that misbehave. The environment selects their fault."""
 
 HOW = "CORRIDOR_TEST_MAPPER"
 LOADED = "CORRIDOR_TEST_LOADED"  # a file, in which "says what it loads" puts a line for each time

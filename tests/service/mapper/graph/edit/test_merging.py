@@ -27,7 +27,7 @@ def first() -> tuple[Drive, SavedGraph]:
 
 @pytest.fixture(scope="module")
 def second() -> tuple[Drive, SavedGraph]:
-    """It begins half-way along the first drive and continues beyond it."""
+    """It begins in the middle of the first drive and continues beyond it."""
     return mapped(through("office", 20.0, 4, stand_s=-12.0))
 
 

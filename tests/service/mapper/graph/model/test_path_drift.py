@@ -116,7 +116,7 @@ def test_a_similar_aisle_beside_it_makes_no_loop(is_known: bool):
 
 
 def test_an_uncertain_step_widens_the_search_beyond_it() -> None:
-    """A heading known to 0.1 rad half-way: 5 m on, the position is known to 0.5 m."""
+    """A heading known to 0.1 rad in the middle: 5 m on, the position is known to 0.5 m."""
     back_end = LoopBackEnd(LoopsConfig(), None)
     sure, doubtful = np.diag([1e-4, 1e-4, 1e-6]), np.diag([1e-4, 1e-4, 1e-2])
     back_end.work(

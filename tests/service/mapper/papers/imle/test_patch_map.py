@@ -68,19 +68,19 @@ def test_no_more_patches_stay_in_memory_than_are_allowed_and_none_is_lost() -> N
 
 
 # C26
-def test_a_scan_is_drawn_after_some_distance_or_turn_and_not_before() -> None:
+def test_a_scan_is_inserted_after_some_distance_or_turn_and_not_before() -> None:
     patches = PatchMap(PatchMapConfig(), MemoryPatches)
-    drawn = []
+    inserted = []
     for x_m, theta_rad in ((0.0, 0.0), (0.1, 0.0), (0.19, 0.09), (0.21, 0.0), (0.21, 0.11)):
         motion = Motion(SE2(x_m, 0.0, theta_rad), (0.0, 0.0, 0.0), np.eye(3))
-        drawn.append(patches.insert(circle(), Match(motion, circle(), 1.0)).is_keyframe)
-    assert drawn == [True, False, False, True, True]
+        inserted.append(patches.insert(circle(), Match(motion, circle(), 1.0)).is_keyframe)
+    assert inserted == [True, False, False, True, True]
     patches.start_over()
     assert patches.insert(circle(), Match(motion, circle(), 1.0)).is_keyframe
 
 
 # C10
-def test_a_line_that_cuts_off_the_corner_of_a_patch_is_drawn_there_too() -> None:
+def test_a_line_that_cuts_off_the_corner_of_a_patch_is_inserted_there_too() -> None:
     """Neither end lies in the patch nor near it: 6 m of wall seen aslant from 34 m away."""
     patches = PatchMap(PatchMapConfig(), MemoryPatches)
     xy = np.array([[27.0, 31.5], [31.5, 27.0]])

@@ -19,7 +19,7 @@ FIRST_SIGMA = np.concatenate([np.zeros(3), [0.1, 0.1, 0.02], [0.02, 0.02, 0.0], 
 
 
 class Flight:
-    """A true motion, and what an IMU with an arm and with errors drawn once says of it."""
+    """A true motion, and what an IMU with an arm and with errors sampled once measures of it."""
 
     def __init__(self, seed: int, arm_m: np.ndarray | None = None) -> None:
         self.noise = np.random.default_rng(seed)

@@ -54,7 +54,7 @@ def test_a_particle_that_takes_over_has_the_map_and_the_path_of_the_other() -> N
     np.testing.assert_array_equal(grids[0].hits[slots[0]], grids[1].hits[slots[1]])
     assert not set(slots[0].tolist()) & set(slots[1].tolist())
     heir.map.insert(WALL, np.zeros(2), np.array([1.0, 0.0, 0.0]))
-    assert (grids[0].hits[slots[0]] != grids[1].hits[slots[1]]).any()  # from now on their own ways
+    assert (grids[0].hits[slots[0]] != grids[1].hits[slots[1]]).any()  # from now on independent
 
 
 # D8

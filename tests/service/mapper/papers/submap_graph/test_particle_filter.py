@@ -40,7 +40,7 @@ def test_the_seed_decides_and_nothing_else(short_drive: Drive) -> None:
 
 
 # D2
-def test_where_a_map_says_nothing_particles_are_drawn_from_motion_and_weigh_alike() -> None:
+def test_where_a_map_has_no_information_particles_are_sampled_from_motion_with_equal_weights() -> None:
     matcher = ParticleFilter(ParticleFilterConfig(draw="around_scan"))
     submaps = CountedSubmaps(CountedSubmapsConfig(particles=200))
     covariance = np.array([[0.04, 0.01, 0.0], [0.01, 0.02, 0.002], [0.0, 0.002, 0.01]])
@@ -58,7 +58,7 @@ def test_where_a_map_says_nothing_particles_are_drawn_from_motion_and_weigh_alik
 
 
 def with_a_room(particles: int) -> CountedSubmaps:
-    """Every particle has drawn the square from its middle."""
+    """Every particle has the square mapped from its middle."""
     submaps = CountedSubmaps(CountedSubmapsConfig(particles=particles))
     submaps.insert(square(), match_at(SE2(), square()))
     return submaps
@@ -76,11 +76,11 @@ def test_a_particle_weighs_as_much_as_the_scan_is_likely_on_its_map() -> None:
     once = submaps.log_weights.copy()
     assert (np.diff(once) < -0.5).all()
     matcher.align_particles(square(), prediction(SE2(), nothing), submaps)
-    np.testing.assert_allclose(submaps.log_weights, 2.0 * once)  # scan by scan, until they are drawn again
+    np.testing.assert_allclose(submaps.log_weights, 2.0 * once)  # scan by scan, until they are resampled
 
 
 # D2
-def test_drawn_around_the_scan_a_room_is_followed_as_well(short_drive: Drive) -> None:
+def test_sampled_around_the_scan_a_room_is_followed_as_well(short_drive: Drive) -> None:
     outputs = outputs_of(mapper(draw="around_scan"), short_drive.frames)
     assert np.hypot(*errors(outputs, short_drive.truth)[:, :2].T).max() < 0.05
     assert {o.state for o in outputs} == {"ok"}

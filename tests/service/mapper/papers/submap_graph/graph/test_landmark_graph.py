@@ -1,4 +1,4 @@
-"""The back end on hand-made sub-maps: there and back in one room, drawn more and more askew."""
+"""The back end on hand-made sub-maps: there and back in one room, with a growing error."""
 
 import pickle
 
@@ -28,7 +28,7 @@ from tests.service.mapper.drives import ROOM, cast
 from tests.service.mapper.maps.points import points_of
 
 MAPS = CountedSubmapsConfig()
-CONFIG = LandmarkGraphConfig(drift_m_per_sqrt_m=0.05, drift_rad_per_sqrt_m=0.02)  # as these ways are drawn
+CONFIG = LandmarkGraphConfig(drift_m_per_sqrt_m=0.05, drift_rad_per_sqrt_m=0.02)  # of these paths
 BEAMS = np.linspace(-np.pi, np.pi, 361)[:-1]
 STEP = float(BEAMS[1] - BEAMS[0])
 
@@ -42,22 +42,22 @@ def seen_from(pose: np.ndarray, seed: int) -> np.ndarray:
     return range_m[:, None] * np.stack((np.cos(BEAMS), np.sin(BEAMS)), axis=1)
 
 
-def submap(number: int, truth: np.ndarray, drawn: np.ndarray) -> ClosedSubmap:
-    """A sub-map with scans from `truth`, drawn along another way."""
+def submap(number: int, truth: np.ndarray, tracks: np.ndarray) -> ClosedSubmap:
+    """A sub-map with scans from `truth`, inserted along another path."""
     scans = tuple(
         KeyScan(1000 * number + k + 1, seen_from(pose, 100 * number + k).astype(np.float32), (0.0, 0.0), STEP)
         for k, pose in enumerate(truth)
     )
-    return ClosedSubmap(number, 0, scans, drawn, MAPS)
+    return ClosedSubmap(number, 0, scans, tracks, MAPS)
 
 
 def round_trip() -> tuple[list[ClosedSubmap], np.ndarray]:
-    """Four sub-maps there and back, each drawn 8 cm and 1 deg more askew than the last; the true ways."""
+    """Four sub-maps there and back, each 8 cm and 1 deg farther off than the last; the true paths."""
     x = np.linspace(0.0, 1.5, 6)
     paths = [np.stack((x + 1.0, np.full(6, y), np.zeros(6)), axis=1) for y in (0.0, 0.4, -0.4, 0.1)]
     askew = [np.array([0.06 * k, -0.05 * k, np.radians(k)]) for k in range(4)]
-    drawn = [se2.compose(error, way) for error, way in zip(askew, paths, strict=True)]
-    return [submap(k, paths[k], drawn[k]) for k in range(4)], np.concatenate(paths)
+    tracks = [se2.compose(error, path) for error, path in zip(askew, paths, strict=True)]
+    return [submap(k, paths[k], tracks[k]) for k in range(4)], np.concatenate(paths)
 
 
 @pytest.fixture(scope="module")
@@ -80,14 +80,14 @@ def test_landmarks_take_out_what_the_paths_disagree_in(trip) -> None:
     assert results[1].links == 0  # neighbours in time share scans
     assert results[3].links >= 2
     assert results[3].fault == ""
-    drawn = np.concatenate([one.track for one in closed])
-    assert furthest_m(drawn, truth) > 0.12
+    tracks = np.concatenate([one.track for one in closed])
+    assert furthest_m(tracks, truth) > 0.12
     assert furthest_m(results[3].poses, truth) < 0.07
     assert any(result.rendered_map is not None for result in results)
     picture = results[3].picture
     assert len(picture.borders) == 4
     assert len(picture.accepted) == results[3].links
-    for border, one in zip(picture.borders, closed, strict=True):  # around the way that was driven in it
+    for border, one in zip(picture.borders, closed, strict=True):  # around the path driven in it
         own = results[3].poses[
             np.isin(results[3].stamps, [scan.stamp_ns for scan in one.scans[one.carried :]])
         ]
@@ -131,8 +131,8 @@ def test_pairs_that_a_person_names_tie_sub_maps_and_can_be_taken_back(trip) -> N
     assert before["submaps"] == 4
     assert before["pairs"] == []
     graph.apply_result()
-    drawn = np.concatenate([one.track for one in closed])
-    free = furthest_m(drawn, truth)
+    tracks = np.concatenate([one.track for one in closed])
+    free = furthest_m(tracks, truth)
     marks = np.array([[4.0, 1.5], [4.0, -1.5]])
     for xy in marks:
         shown = corrected(graph)[::6]  # the first of each sub-map, in the map as it is now
