@@ -1,5 +1,6 @@
 """A site's router on loopback, vehicles' sinks at it, and clients of each role."""
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -81,7 +82,9 @@ def is_in_fleet(sink: FleetSink) -> bool:
     return sink._publisher is not None
 
 
-def diagnostics(state: str = "ok", stamp_ns: int = 1):
+def diagnostics(state: str = "ok", stamp_ns: int | None = None):
+    """stamp_ns   None: now"""
+    stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
     rows = [
         Status("mapping", OK, state, {"state": state}),
         Status("recording", OK, "recording", {"free_gb": "12.5"}),
