@@ -188,7 +188,7 @@ def rows(seed: int, kills: int) -> dict[str, Wire | Live]:
         "kill-mapper": Live("mapper killed 5 times, each 2 s (SIGKILL)", f.killed("mapper", 5)),
         "kill-stand-by": Live("stand-by killed 5 times, each 2 s", f.killed("stand-by", 5)),
         "kill-back-end": Live(
-            "back end killed 5 times, each 2 s", f.killed("back end", 5), Expected(codes=(0, 1))
+            "back end killed 3 times, each 2 s", f.killed("back end", 3), Expected(codes=(0, 1))
         ),
         "kill-service": Live(
             f"service killed {kills} times, up to 3 s after READY, and started again",
