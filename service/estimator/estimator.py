@@ -18,7 +18,6 @@ from service.estimator.standstill import Standstill
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.estimator import (
-    MAX_SILENT_S,
     add_scale_error,
     predict_motion,
     take_match,
@@ -37,6 +36,7 @@ from service.kernels.filter_state import (
     TWIST,
     MotionSettings,
 )
+from service.kernels.increments import MAX_SILENT_S
 from service.kernels.source_noise import begin_motion
 from service.kernels.sweep import begin_twist, deskew_sweep, motion_at
 from service.kernels.tracks import SPEED_WINDOW_NS, Track
@@ -270,31 +270,21 @@ class Estimator:
     def _increment(self) -> OdometryIncrement | None:
         """The newest odometry increment, with the learnt noise, at least that of the model."""
         newest = self.filter["increment"].item()
-        has_odometry, has_gyro, step, variance_m2, turn_rad2, gyro_rad, gyro_rad2 = newest
+        has_odometry, _, has_gyro, step, variance_m2, turn_rad2, end_s3, gyro_rad, gyro_rad2 = newest
         if not has_odometry or self._elapsed_s <= 0.0:
             return None
         x_m, y_m, turn_rad = step.tolist()
         distance_noise, turn_noise = self.filter["noise"].tolist()
-        newest_ns = int(self._odometry.track.stamp_ns[self._odometry.track.span[1] - 1])
-        beyond_s = (int(self.filter["stamp_ns"]) - newest_ns) * 1e-9
-        begin_s3, end_s3 = (max(s, 0.0) ** 3 / 3.0 for s in (beyond_s - self._elapsed_s, beyond_s))  # [8]
-        density = self._settings.acceleration**2, self._settings.turn_acceleration**2
-        variance_m2 = max(variance_m2 - density[0] * (begin_s3 + end_s3), 0.0)
-        end_rad2 = density[1] * end_s3
+        turn_rad2 *= max(turn_noise, 1.0)
+        end_m2 = self._settings.acceleration**2 * end_s3  # [8]
+        end_rad2 = self._settings.turn_acceleration**2 * end_s3
         if has_gyro:  # it measures the rotation where odometry is extrapolated, too
-            turn_rad2 *= max(turn_noise, 1.0)
             gyro_rad2 *= max(float(self.filter["gyro_noise"]), 1.0)
-            share = turn_rad2 / (turn_rad2 + gyro_rad2)
+            share = (turn_rad2 + end_rad2) / (turn_rad2 + end_rad2 + gyro_rad2)
             turn_rad += share * wrap_angle(gyro_rad - turn_rad)
             turn_rad2, end_rad2 = share * gyro_rad2, 0.0
-        else:
-            turn_rad2 = max(turn_rad2 - density[1] * begin_s3 - end_rad2, 0.0) * max(turn_noise, 1.0)
         return OdometryIncrement(
-            SE2(x_m, y_m, turn_rad),
-            variance_m2 * max(distance_noise, 1.0),
-            turn_rad2,
-            density[0] * end_s3,
-            end_rad2,
+            SE2(x_m, y_m, turn_rad), variance_m2 * max(distance_noise, 1.0), turn_rad2, end_m2, end_rad2
         )
 
     def _deskew(self, beam_time_s: Matrix, xy_raw: Matrix, xy_base: Matrix) -> None:
@@ -305,6 +295,7 @@ class Estimator:
         state = self.filter
         if measured is not None and measured.gap is not None:
             state["path"]["span"] = 0  # matched elsewhere: this jump is no motion
+            state["odometry_used"]["is_known"] = False
             widen_pose(state["covariance"], measured.gap)
             self._consistent.widen(measured.gap)
         if measured is not None and measured.segment_noise is not None:
@@ -433,6 +424,7 @@ class Estimator:
         state, gap = self.filter, np.outer(hidden, hidden)
         state["pose"] = poses.compose(state["pose"], hidden)
         state["path"]["span"] = 0
+        state["odometry_used"]["is_known"] = False
         widen_pose(state["covariance"], gap)
         self._consistent.widen(gap)
 

@@ -18,6 +18,7 @@ from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.filter_state import (
     ACCELERATION,
+    ANCHOR,
     BIAS,
     LAG,
     LOCAL,
@@ -29,26 +30,16 @@ from service.kernels.filter_state import (
     TWIST,
     FilterRecord,
 )
+from service.kernels.increments import anchor_at, gyro_turn, odometry_step
 from service.kernels.pose_information import invert_3x3
 from service.kernels.se2 import between, compose, exponential, logarithm
 from service.kernels.source_noise import extend_window, learn_noise, motion_noise_over
 from service.kernels.tracks import (
-    LAG_WINDOW_NS,
     Track,
     acceleration_of,
     add_to_path,
-    bridge_s3,
-    extrapolated_ns,
-    gyro_angle_at,
-    last_at_or_before,
-    mean_twist,
-    odometry_at,
 )
 
-GYRO_SCALE = 0.005  # error of the gyro's scale
-MAX_SILENT_S = 0.05  # between two samples of a source that works: 20 Hz and more
-# Added to a step in which odometry stands, so that scans that see a motion outweigh it; [30].
-STANDING_M, STANDING_RAD = 0.003, 0.002
 MEAN_S = 0.5  # time constant of the mean twist that the scale error is multiplied by; [25]
 MIN_CHANGE_SIGMAS = 3.0  # a smaller change of speed is noise and corrects no lag; [26]
 
@@ -57,9 +48,9 @@ MIN_CHANGE_SIGMAS = 3.0  # a smaller change of speed is noise and corrects no la
 def observe(covariance, rows, residual, variance, gain, gate, correction):
     """Apply one scalar measurement: rows . error = residual + noise; updates covariance and correction.
 
-    rows   (19,) float64     measurement Jacobian; its LAG entry becomes 0 where the innovation is beyond the
+    rows   (22,) float64     measurement Jacobian; its LAG entry becomes 0 where the innovation is beyond the
                              gate
-    gain   (19,) float64     scratch
+    gain   (22,) float64     scratch
     gate   chi2 above which the variance grows until the innovation fits: a Huber weight; [6]
     The gain of MAP is that of LOCAL, and the covariance is updated in Joseph's form; [7].
     """
@@ -107,9 +98,10 @@ def predict_motion(record, odometry, gyro, stamp_ns):
     state = record[0]
     P = state.covariance
     last_ns = state.stamp_ns
+    lag_s = state.lag_s
     dt = (stamp_ns - last_ns) * 1e-9
     increment = state.increment
-    increment.has_odometry = increment.has_gyro = False
+    increment.has_odometry = increment.has_gyro = increment.is_extrapolated = False
     if dt <= 0.0:
         return
     tangent = np.empty(3)
@@ -126,17 +118,23 @@ def predict_motion(record, odometry, gyro, stamp_ns):
     new = 1.0 - math.exp(-dt / MEAN_S)
     of_step = 1.0 - math.exp(-((dt / MEAN_S) ** 2))
     has_gyro = gyro_turn(gyro, last_ns, stamp_ns, state.settings, turn)
-    has_odometry = odometry_step(state, odometry, last_ns, stamp_ns, change)
+    measured = np.empty(5)
+    has_odometry = odometry_step(state, odometry, last_ns, stamp_ns, change, measured)
+    # An extrapolated motion has the noise that the next sample takes back: no independent measurement.
+    has_odometry = has_odometry and not increment.is_extrapolated
     has_odometry = has_odometry and max(state.noise[0], state.noise[1]) <= state.settings.fault_noise
+    since = state.odometry_used.since
+    total_s = dt
     if has_odometry:
+        total_s = (stamp_ns - state.odometry_used.anchor_ns) * 1e-9
+        of_step = 1.0 - math.exp(-((total_s / MEAN_S) ** 2))
         # linearised at odometry's step: over a long gap the last speed is far from the truth
-        for i in range(3):
-            step[i] = increment.step[i]
+        between(since, measured[:3], step)
         # (rotations are not wrapped: a speed wrong by a turn per scan would remain)
         logarithm(step, odometry_tangent)
         for i in range(3):
             correction[STEP + i] = tangent[i] - odometry_tangent[i]
-        change_of_speed(state, odometry, dt, of_step, change)
+        change_of_speed(state, odometry, total_s, of_step, measured, change)
         add_scale_error(P, scale_twist, -1.0, dt)
     if has_gyro:
         increment.has_gyro = True
@@ -152,28 +150,39 @@ def predict_motion(record, odometry, gyro, stamp_ns):
             rows[:] = 0.0
             rows[STEP + axis] = 1.0
             rows[LAG] = -change[axis]
-            observe(P, rows, 0.0, odometry_variance(state, axis), gain, CHI2_99_OF_3, correction)
+            if total_s > dt:  # since the anchor the pose has moved without odometry
+                rows[LOCAL + axis] = 1.0
+                rows[ANCHOR + axis] = -1.0
+                rows[TURN_SCALE if axis == 2 else SCALE] = -since[axis]
+            observe(P, rows, 0.0, odometry_variance(state, measured, axis), gain, CHI2_99_OF_3, correction)
+        logarithm(measured[:3], odometry_tangent)
         for i in range(3):
             of_scale = scale_twist[i] * correction[SCALE if i < 2 else TURN_SCALE]
             correction[TWIST + i] += of_scale
             correction[STEP + i] += dt * of_scale
             # over a long step the mean twist is outdated; the noise of a short step must not enter
-            newer = odometry_tangent[i] / dt - state.mean_twist[i]
+            newer = odometry_tangent[i] / total_s - state.mean_twist[i]
             scale_twist[i] = state.mean_twist[i] + of_step * newer
             state.mean_twist[i] += new * newer
         add_scale_error(P, scale_twist, 1.0, dt)
     add_to_state(state, step, correction)
     add_step_error(P, step)
+    if has_odometry:
+        anchor_at(state, odometry, stamp_ns, np.int64(round(lag_s * 1e9)))
     extend_window(state, math.hypot(step[0], step[1]) + abs(step[2]), dt)
     state.stamp_ns = stamp_ns
 
 
 @inner_kernel
-def odometry_variance(state, axis):
-    """Variance of odometry's increment, m^2 or rad^2, with the learnt noise; axis 0, 1: x, y; 2: theta."""
+def odometry_variance(state, measured, axis):
+    """Variance of odometry's motion since the anchor, m^2 or rad^2, with the learnt noise.
+
+    measured   (5,) float64   from odometry_step
+    axis       0, 1: x, y; 2: theta
+    """
     if axis < 2:
-        return state.increment.variance_m2 * state.noise[0]
-    return state.increment.variance_rad2 * state.noise[1]
+        return measured[3] * state.noise[0]
+    return measured[4] * state.noise[1]
 
 
 @inner_kernel
@@ -240,12 +249,13 @@ def add_scale_error(P, scale_twist, times, dt):
 
 
 @inner_kernel
-def change_of_speed(state, odometry, dt, of_step, change):
+def change_of_speed(state, odometry, dt, of_step, measured, change):
     """Change of speed that the lag of odometry's stamps is multiplied by; [26].
 
     odometry   Track
-    dt         float          s, of the step
-    of_step    float          0..1: share of the change over the step itself
+    dt         float          s, since the anchor
+    of_step    float          0..1: share of the change over that time itself
+    measured   (5,) float64   from odometry_step
     change     (3,) float64   in: over the step, by odometry; out
     """
     acceleration = np.empty(3)
@@ -257,99 +267,12 @@ def change_of_speed(state, odometry, dt, of_step, change):
         if window_s > 0.0:
             seen = acceleration[i] * dt
             noise = min(
-                2.0 * odometry_variance(state, i) * dt / window_s**3,
+                2.0 * odometry_variance(state, measured, i) * dt / window_s**3,
                 6.0 * state.covariance[LOCAL + i, LOCAL + i] * dt**2 / window_s**4,
             )
             least = MIN_CHANGE_SIGMAS**2 * noise
             if seen * seen > least:
                 change[i] += (1.0 - of_step) * (seen - least / seen)
-
-
-@inner_kernel
-def gyro_turn(gyro, last_ns, stamp_ns, settings, turn):
-    """The gyro's rotation in rad and its variance into turn (2,); False where it was silent."""
-    first = gyro.span[0]
-    end = gyro.span[1]
-    late_ns = last_ns + np.int64(MAX_SILENT_S * 1e9)
-    if end - first < 2 or gyro.stamp_ns[end - 1] <= last_ns or gyro.stamp_ns[first] > late_ns:
-        return False
-    dt = (stamp_ns - last_ns) * 1e-9
-    turn[0] = gyro_angle_at(gyro, stamp_ns) - gyro_angle_at(gyro, last_ns)
-    beyond_s = max(0.0, (stamp_ns - gyro.stamp_ns[end - 1]) * 1e-9)
-    turn[1] = settings.gyro_walk**2 * dt + (GYRO_SCALE * turn[0]) ** 2
-    turn[1] += settings.turn_acceleration**2 * beyond_s**3 / 3.0
-    after = min(last_at_or_before(gyro, stamp_ns) + 1, end - 1)
-    turn[1] += gyro.value[after, 1] - gyro.value[max(last_at_or_before(gyro, last_ns), first), 1]
-    return True
-
-
-@inner_kernel
-def odometry_step(state, odometry, last_ns, stamp_ns, change):
-    """Odometry's increment between two times into state.increment; False where it was silent; [5].
-
-    change   (3,) float64   out: change of odometry's mean speed
-    """
-    lag_ns = np.int64(round(state.lag_s * 1e9))
-    first = odometry.span[0]
-    end = odometry.span[1]
-    if (
-        end - first < 2
-        or odometry.stamp_ns[end - 1] + extrapolated_ns(odometry) <= last_ns + min(lag_ns, 0)
-        or odometry.stamp_ns[first] > last_ns + lag_ns + np.int64(MAX_SILENT_S * 1e9)
-    ):
-        state.odometry_used.is_known = False
-        return False
-    before = np.empty(3)
-    after = np.empty(3)
-    scratch = np.empty(3)
-    twists = np.empty((2, 3))
-    own0, own_turn0, since0, gap0 = odometry_at(odometry, last_ns + lag_ns, before, scratch)
-    own1, own_turn1, since1, gap1 = odometry_at(odometry, stamp_ns + lag_ns, after, scratch)
-    mean_twist(odometry, last_ns + lag_ns, twists[0])
-    mean_twist(odometry, stamp_ns + lag_ns, twists[1])
-    step = np.empty(3)
-    last = state.odometry_used
-    if last.is_known:
-        # continue from the pose used last, extrapolated or not: the steps then add up to odometry's motion
-        odometry_at(odometry, last_ns + np.int64(round(last.lag_s * 1e9)), step, scratch)
-        between(step, before, step)
-        compose(last.pose, step, before)
-        for i in range(3):
-            twists[0, i] = last.twist[i]
-    for i in range(3):
-        last.pose[i] = after[i]
-        last.twist[i] = twists[1, i]
-    last.lag_s = lag_ns * 1e-9
-    last.is_known = True
-    between(before, after, step)
-    logarithm(step, scratch)
-    scale = 1.0 + state.scale
-    exponential(scale * scratch[0], scale * scratch[1], (1.0 + state.turn_scale) * scratch[2], step)
-    d = math.hypot(step[0], step[1])
-    turned = abs(step[2])
-    dt = (stamp_ns - last_ns) * 1e-9
-    if stamp_ns - last_ns < LAG_WINDOW_NS:
-        # not from the step itself: by chance a long step would weigh less than a short one
-        d = 0.5 * dt * math.hypot(twists[0, 0] + twists[1, 0], twists[0, 1] + twists[1, 1])
-        turned = 0.5 * dt * abs(twists[0, 2] + twists[1, 2])
-    bridged = bridge_s3(since0, gap0) + bridge_s3(since1, gap1)
-    settings = state.settings
-    late_m = settings.jitter_s * math.hypot(twists[1, 0] - twists[0, 0], twists[1, 1] - twists[0, 1])
-    late_rad = settings.jitter_s * (twists[1, 2] - twists[0, 2])
-    square_m2 = settings.position_walk**2 * d + settings.resolution_m**2
-    square_m2 += settings.acceleration**2 * bridged + late_m**2
-    square_rad2 = settings.heading_walk**2 * d + settings.turn_walk**2 * turned
-    square_rad2 += settings.resolution_rad**2 + settings.turn_acceleration**2 * bridged + late_rad**2
-    if step[0] == 0.0 and step[1] == 0.0 and step[2] == 0.0:  # standstill, or dead odometry; [30]
-        square_m2 += STANDING_M**2
-        square_rad2 += STANDING_RAD**2
-    for i in range(3):
-        state.increment.step[i] = step[i]
-        change[i] = twists[1, i] - twists[0, i]
-    state.increment.has_odometry = True
-    state.increment.variance_m2 = max(square_m2, 0.5 * (own1 - own0))  # the device's own, where it grows
-    state.increment.variance_rad2 = max(square_rad2, own_turn1 - own_turn0)
-    return True
 
 
 @inner_kernel
@@ -360,15 +283,31 @@ def add_to_state(state, step, correction):
     compose(step, moved, step)
     add_beside_pose(state, correction)
     exponential(correction[LOCAL], correction[LOCAL + 1], correction[LOCAL + 2], moved)
-    for k in (MAP, LOCAL):
+    for k in (MAP, LOCAL, ANCHOR):
         transform_pose_error(state.covariance, k, moved)
+    correct_since_anchor(state, correction)
     compose(state.pose, moved, state.pose)
     compose(state.pose, step, state.pose)
+    compose(state.odometry_used.since, step, state.odometry_used.since)
+
+
+@inner_kernel
+def correct_since_anchor(state, correction):
+    """Apply a correction (22,) to the motion since the anchor of odometry."""
+    since = state.odometry_used.since
+    moved = np.empty(3)
+    exponential(
+        correction[LOCAL] - correction[ANCHOR],
+        correction[LOCAL + 1] - correction[ANCHOR + 1],
+        correction[LOCAL + 2] - correction[ANCHOR + 2],
+        moved,
+    )
+    compose(since, moved, since)
 
 
 @inner_kernel
 def add_beside_pose(state, correction):
-    """Add a correction (19,) to all but the pose."""
+    """Add a correction (22,) to all but the pose."""
     for i in range(3):
         state.twist[i] += correction[TWIST + i]
         state.acceleration[i] += correction[ACCELERATION + i]
@@ -398,6 +337,7 @@ def transform_pose_error(P, k, step):
 @inner_kernel
 def add_step_error(P, step):
     """Transform the pose errors to the new base, add the step's error and clear its rows; [4]."""
+    transform_pose_error(P, ANCHOR, step)
     for k in (MAP, LOCAL):
         transform_pose_error(P, k, step)
         for i in range(3):
@@ -427,7 +367,7 @@ def correct_motion(state, pose, local_covariance, prior_weight):
     moved = np.empty(3)
     between(state.pose, pose, step)
     logarithm(step, moved)
-    for k in (MAP, LOCAL):
+    for k in (MAP, LOCAL, ANCHOR):
         transform_pose_error(P, k, step)
     prior = P[LOCAL : LOCAL + 3, LOCAL : LOCAL + 3].copy()
     if prior_weight < 1.0:
@@ -471,6 +411,7 @@ def correct_motion(state, pose, local_covariance, prior_weight):
             P[i, j] -= total
             P[j, i] = P[i, j]
     add_beside_pose(state, correction)
+    correct_since_anchor(state, correction)
     for i in range(3):
         state.pose[i] = pose[i]
     return True
@@ -492,7 +433,9 @@ def transfer_into_map(P, kept):
     """
     for i in range(3):
         for j in range(STATES):
+            P[ANCHOR + i, j] -= (1.0 - kept) * P[LOCAL + i, j]
             P[LOCAL + i, j] *= kept
     for i in range(3):
         for j in range(STATES):
+            P[j, ANCHOR + i] -= (1.0 - kept) * P[j, LOCAL + i]
             P[j, LOCAL + i] *= kept

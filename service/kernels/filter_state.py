@@ -10,6 +10,7 @@ Errors are in base axes of the newest pose: true pose = pose * exp(error). Rows 
     LAG   14      of odometry's stamps behind the scans', s
     BIAS  15      of the gyro, rad/s
     ACCELERATION 16:19   of the twist
+    ANCHOR 19:22  pose at the anchor of odometry, see ODOMETRY_USED, against the local map
 """
 
 from typing import Annotated, NamedTuple
@@ -21,7 +22,7 @@ from service.compile.lazy import Layout
 from service.kernels.tracks import PATH_POSES
 
 MAP, LOCAL, STEP, TWIST, SCALE, TURN_SCALE, LAG, BIAS = 0, 3, 6, 9, 12, 13, 14, 15
-ACCELERATION, STATES = 16, 19
+ACCELERATION, ANCHOR, STATES = 16, 19, 22
 STUDENT = 5.0  # degrees of freedom of the prediction's error, Student's t; [12]
 MAP_BLOCK, LOCAL_BLOCK = slice(MAP, MAP + 3), slice(LOCAL, LOCAL + 3)
 
@@ -46,21 +47,27 @@ SETTINGS = np.dtype([(name, np.float64) for name in MotionSettings._fields])
 INCREMENT = np.dtype(
     [
         ("has_odometry", np.bool_),  # odometry measured the motion
+        ("is_extrapolated", np.bool_),  # beyond its newest sample
         ("has_gyro", np.bool_),
         ("step", np.float64, 3),  # by odometry
-        ("variance_m2", np.float64),  # by odometry's model, along each axis
+        ("variance_m2", np.float64),  # by odometry's model, along each axis, without extrapolation
         ("variance_rad2", np.float64),
+        ("end_s3", np.float64),  # variance of the extrapolation at its end over the density of [2]; [8]
         ("gyro_rad", np.float64),  # rotation less bias
         ("gyro_rad2", np.float64),  # its variance by the gyro's model
     ],
     align=True,
 )
+# The anchor is the last scan up to which odometry was used as a measurement: between its samples, it is not.
 ODOMETRY_USED = np.dtype(
     [
         ("is_known", np.bool_),
-        ("pose", np.float64, 3),
-        ("twist", np.float64, 3),  # mean up to then
+        ("anchor_ns", np.int64),
+        ("pose", np.float64, 3),  # of odometry at the anchor
+        ("twist", np.float64, 3),  # mean up to there
         ("lag_s", np.float64),  # used for both
+        ("since", np.float64, 3),  # motion of the base since the anchor
+        ("newest", np.float64, 3),  # pose of odometry at the newest scan, extrapolated or not
     ],
     align=True,
 )

@@ -24,10 +24,12 @@ MIN_MOTION_NOISE = (0.02, 0.02, 0.1)
 def extend_window(state, travel_m, dt):
     """Add the increments of the last step to the window."""
     new, total = state.increment, state.window.increment
-    if new.has_odometry:
+    if new.has_odometry and not new.is_extrapolated:
         compose(total.step, new.step, total.step)
+        settings = state.settings
         total.variance_m2 += new.variance_m2 + total.variance_rad2 * (new.step[0] ** 2 + new.step[1] ** 2)
-        total.variance_rad2 += new.variance_rad2
+        total.variance_m2 += settings.acceleration**2 * new.end_s3
+        total.variance_rad2 += new.variance_rad2 + settings.turn_acceleration**2 * new.end_s3
     else:
         total.has_odometry = False
     if new.has_gyro:

@@ -9,7 +9,7 @@ from service.kernels.acceleration import transition_over
 from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.deskew import deskew_points
-from service.kernels.estimator import GYRO_SCALE, transform_pose_error
+from service.kernels.estimator import transform_pose_error
 from service.kernels.filter_state import (
     ACCELERATION,
     MAP,
@@ -17,6 +17,7 @@ from service.kernels.filter_state import (
     TWIST,
     FilterRecord,
 )
+from service.kernels.increments import GYRO_SCALE
 from service.kernels.se2 import between, compose, exponential
 from service.kernels.tracks import Track, gyro_angle_at, odometry_at
 

@@ -10,7 +10,7 @@ import numpy as np
 from service.estimator.motion import OdometryIncrement, Prediction
 from service.geometry.chi2 import CHI2_999_OF_1, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
-from service.kernels.estimator import MAX_SILENT_S
+from service.kernels.increments import MAX_SILENT_S
 from service.mapper.scan_match.attempt import Matrix
 from service.mapper.scan_match.inertia import USUAL, largest_inertia_cost, velocity_variance
 

@@ -73,6 +73,26 @@ def test_odometry_slower_than_the_scans_measures_each_step_until_a_sample_is_mis
     assert variance_m2 == pytest.approx(EstimatorConfig().odometry_position_walk ** 2 * path_m, rel=0.1)
 
 
+@pytest.mark.parametrize("period_ms", [120, 200])
+@pytest.mark.parametrize("sigma_m", [0.1, 0.02])
+def test_odometry_slower_than_the_scans_measures_an_acceleration(period_ms: int, sigma_m: float) -> None:
+    """At 1 m/s^2 from standstill for 1.6 s; scans each 20 ms measure little along the path."""
+    covariance, errors = np.diag([sigma_m**2, 1e-6, 1e-6]), []
+    for seed in range(4):
+        model, noise = Estimator(EstimatorConfig()), np.random.default_rng(seed)
+        for stamp_ms in range(0, 2601, 20):
+            true_m = 0.5 * (max(stamp_ms - 1000, 0) * 1e-3) ** 2
+            if stamp_ms % period_ms == 0:
+                model.add(odometry(stamp_ms, SE2(true_m, 0.0, 0.0)))
+            if stamp_ms >= 400:
+                model.predict(stamp_ms * MS)
+                scan = matched(SE2(true_m + float(noise.normal(0.0, sigma_m)), 0.0, 0.0), covariance)
+                motion = model.correct(scan)
+                off_m, sigma_m2 = motion.pose_odom_base.x_m - true_m, motion.covariance[0, 0] + 1e-6
+                errors.append(abs(off_m) / math.sqrt(sigma_m2))
+    assert max(errors) < 3.0
+
+
 def test_a_gyro_measures_the_rotation_between_samples_of_odometry() -> None:
     """Odometry each 300 ms is extrapolated; 1 s straight on, then the vehicle turns at 0.5 rad/s."""
     model, increments = Estimator(EstimatorConfig()), []
