@@ -73,6 +73,7 @@ def odometry_step(state, odometry, last_ns, stamp_ns, change, measured):
     before = np.empty(3)
     after = np.empty(3)
     scratch = np.empty(3)
+    by_used_lag = np.empty(3)
     begin_twist = np.empty(3)
     end_twist = np.empty(3)
     if not used.is_known:
@@ -84,8 +85,8 @@ def odometry_step(state, odometry, last_ns, stamp_ns, change, measured):
     mean_twist(odometry, stamp_ns + lag_ns, end_twist)
     copy_vector(used.twist, begin_twist)
     # Continue from the pose used there, extrapolated or not: the steps then add up to odometry's motion.
-    odometry_at(odometry, used.anchor_ns + np.int64(round(used.lag_s * 1e9)), scratch, increment.step)
-    between(scratch, before, scratch)
+    odometry_at(odometry, used.anchor_ns + np.int64(round(used.lag_s * 1e9)), by_used_lag, scratch)
+    between(by_used_lag, before, scratch)
     compose(used.pose, scratch, before)
     scaled_step(state, before, after, measured[:3])
     was_extrapolated = used.anchor_ns != last_ns
@@ -105,9 +106,9 @@ def odometry_step(state, odometry, last_ns, stamp_ns, change, measured):
         change[i] = end_twist[i] - begin_twist[i]
     walked_m2 = settings.position_walk**2 * d
     walked_rad2 = settings.heading_walk**2 * d + settings.turn_walk**2 * turned
-    increment.end_s3 = bridge_s3(since1, gap1) if gap1 <= 0.0 else 0.0
-    bridged = bridge_s3(since0, gap0)
-    bridged += bridge_s3(since1, gap1) - increment.end_s3
+    at_end_s3 = bridge_s3(since1, gap1)
+    increment.end_s3 = at_end_s3 if gap1 <= 0.0 else 0.0  # beyond the newest sample
+    bridged = bridge_s3(since0, gap0) + at_end_s3 - increment.end_s3
     late_m = settings.jitter_s * math.hypot(change[0], change[1])
     late_rad = settings.jitter_s * change[2]
     added_m2 = settings.resolution_m**2 + settings.acceleration**2 * bridged + late_m**2
@@ -116,9 +117,8 @@ def odometry_step(state, odometry, last_ns, stamp_ns, change, measured):
         added_m2 += STANDING_M**2
         added_rad2 += STANDING_RAD**2
     own_m2, own_rad2 = 0.5 * (own1 - own0), own_turn1 - own_turn0  # the device's own, where it grows
-    end_m2, end_rad2 = settings.acceleration**2, settings.turn_acceleration**2
-    end_m2 *= increment.end_s3
-    end_rad2 *= increment.end_s3
+    end_m2 = settings.acceleration**2 * increment.end_s3
+    end_rad2 = settings.turn_acceleration**2 * increment.end_s3
     measured[3] = max(walked_m2 + added_m2 + end_m2, own_m2)
     measured[4] = max(walked_rad2 + added_rad2 + end_rad2, own_rad2)
     increment.has_odometry = True
