@@ -108,7 +108,7 @@ def odometry_step(state, odometry, last_ns, stamp_ns, change, measured):
     walked_rad2 = settings.heading_walk**2 * d + settings.turn_walk**2 * turned
     at_end_s3 = bridge_s3(since1, gap1)
     increment.end_s3 = at_end_s3 if gap1 <= 0.0 else 0.0  # beyond the newest sample
-    bridged = bridge_s3(since0, gap0) + at_end_s3 - increment.end_s3
+    bridged = bridge_s3(since0, gap0) + (at_end_s3 - increment.end_s3)
     late_m = settings.jitter_s * math.hypot(change[0], change[1])
     late_rad = settings.jitter_s * change[2]
     added_m2 = settings.resolution_m**2 + settings.acceleration**2 * bridged + late_m**2
