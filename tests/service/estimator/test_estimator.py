@@ -18,7 +18,7 @@ from service.estimator.estimator import (
 )
 from service.estimator.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
-from service.kernels.filter_state import ACCELERATION, LOCAL, TWIST
+from service.kernels.filter_state import ACCELERATION, ANCHOR, LOCAL, STATES, TWIST
 from service.mapper.known_pose import carried
 from tests.service.estimator.samples import MS, gyro, matched, odometry
 
@@ -91,6 +91,26 @@ def test_odometry_slower_than_the_scans_measures_an_acceleration(period_ms: int,
                 off_m, sigma_m2 = motion.pose_odom_base.x_m - true_m, motion.covariance[0, 0] + 1e-6
                 errors.append(abs(off_m) / math.sqrt(sigma_m2))
     assert max(errors) < 3.0
+
+
+def test_the_motion_since_the_anchor_is_as_certain_after_a_key_frame() -> None:
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, 1061, 20):  # the newest sample is 60 ms old, the anchor 40 ms
+        if stamp_ms % 200 == 0:
+            model.add(odometry(stamp_ms, SE2(stamp_ms * 1e-3, 0.0, 0.0)))
+        model.predict(stamp_ms * MS)
+        model.correct(matched(SE2(stamp_ms * 1e-3, 0.0, 0.0), TIGHT))
+
+    def motion_covariance() -> np.ndarray:
+        rows = np.zeros((3, STATES))
+        rows[:, LOCAL : LOCAL + 3], rows[:, ANCHOR : ANCHOR + 3] = np.eye(3), -np.eye(3)
+        return rows @ model.filter["covariance"] @ rows.T
+
+    before, pose_covariance = motion_covariance(), model.filter["covariance"][LOCAL, LOCAL]
+    model.settle(0.3)
+    assert model.filter["covariance"][LOCAL, LOCAL] == pytest.approx(0.09 * pose_covariance)
+    np.testing.assert_allclose(motion_covariance(), before, rtol=1e-9, atol=1e-18)
+    assert before[0, 0] > 1e-9
 
 
 def test_a_gyro_measures_the_rotation_between_samples_of_odometry() -> None:
