@@ -119,10 +119,10 @@ def predict_motion(record, odometry, gyro, stamp_ns):
     of_step = 1.0 - math.exp(-((dt / MEAN_S) ** 2))
     has_gyro = gyro_turn(gyro, last_ns, stamp_ns, state.settings, turn)
     measured = np.empty(5)
-    has_odometry = odometry_step(state, odometry, last_ns, stamp_ns, change, measured)
+    has_sample = odometry_step(state, odometry, last_ns, stamp_ns, change, measured)
     # An extrapolated motion has the noise that the next sample takes back: no independent measurement.
-    has_odometry = has_odometry and not increment.is_extrapolated
-    has_odometry = has_odometry and max(state.noise[0], state.noise[1]) <= state.settings.fault_noise
+    has_sample = has_sample and not increment.is_extrapolated
+    has_odometry = has_sample and max(state.noise[0], state.noise[1]) <= state.settings.fault_noise
     since = state.odometry_used.since
     total_s = dt
     if has_odometry:
@@ -167,7 +167,7 @@ def predict_motion(record, odometry, gyro, stamp_ns):
         add_scale_error(P, scale_twist, 1.0, dt)
     add_to_state(state, step, correction)
     add_step_error(P, step)
-    if has_odometry:
+    if has_sample:  # also with a fault: its motion is no measurement later on
         anchor_at(state, odometry, stamp_ns, np.int64(round(lag_s * 1e9)))
     extend_window(state, math.hypot(step[0], step[1]) + abs(step[2]), dt)
     state.stamp_ns = stamp_ns

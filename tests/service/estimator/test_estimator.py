@@ -113,6 +113,18 @@ def test_the_motion_since_the_anchor_is_as_certain_after_a_key_frame() -> None:
     assert before[0, 0] > 1e-9
 
 
+def test_what_wrong_odometry_has_moved_is_not_measured_when_it_is_right_again() -> None:
+    """At rest, scans each 20 ms measure nothing along x; odometry is wrong by 1 m while it has a fault."""
+    model, blind = Estimator(EstimatorConfig()), np.diag([1.0, 1e-6, 1e-6])
+    for stamp_ms in range(0, 3001, 20):
+        model.filter["noise"] = 1e5 if 1000 <= stamp_ms < 2000 else 1.0
+        wheels_m = min(max(stamp_ms - 1000, 0), 960) / 960.0
+        model.add(odometry(stamp_ms, SE2(wheels_m, 1e-6 * stamp_ms, 0.0)))
+        model.predict(stamp_ms * MS)
+        motion = model.correct(matched(SE2(), blind))
+    assert abs(motion.pose_odom_base.x_m) < 0.1
+
+
 def test_a_gyro_measures_the_rotation_between_samples_of_odometry() -> None:
     """Odometry each 300 ms is extrapolated; 1 s straight on, then the vehicle turns at 0.5 rad/s."""
     model, increments = Estimator(EstimatorConfig()), []
