@@ -169,7 +169,7 @@ def predict_motion(record, odometry, gyro, stamp_ns):
     add_step_error(P, step)
     if has_sample:  # also with a fault: its motion is no measurement later on
         anchor_at(state, odometry, stamp_ns, np.int64(round(lag_s * 1e9)))
-    extend_window(state, math.hypot(step[0], step[1]) + abs(step[2]), dt)
+    extend_window(state, measured, math.hypot(step[0], step[1]) + abs(step[2]), dt)
     state.stamp_ns = stamp_ns
 
 

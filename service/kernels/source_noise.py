@@ -21,16 +21,17 @@ MIN_MOTION_NOISE = (0.02, 0.02, 0.1)
 
 
 @inner_kernel
-def extend_window(state, travel_m, dt):
-    """Add the increments of the last step to the window."""
+def extend_window(state, measured, travel_m, dt):
+    """Add the motion of the last step to the window; that of odometry once a sample has measured it.
+
+    measured   (5,) float64   from odometry_step
+    """
     new, total = state.increment, state.window.increment
     if new.has_odometry and not new.is_extrapolated:
-        compose(total.step, new.step, total.step)
-        settings = state.settings
-        total.variance_m2 += new.variance_m2 + total.variance_rad2 * (new.step[0] ** 2 + new.step[1] ** 2)
-        total.variance_m2 += settings.acceleration**2 * new.end_s3
-        total.variance_rad2 += new.variance_rad2 + settings.turn_acceleration**2 * new.end_s3
-    else:
+        compose(total.step, measured[:3], total.step)
+        total.variance_m2 += measured[3] + total.variance_rad2 * (measured[0] ** 2 + measured[1] ** 2)
+        total.variance_rad2 += measured[4]
+    elif not new.has_odometry:
         total.has_odometry = False
     if new.has_gyro:
         total.gyro_rad += new.gyro_rad
@@ -77,6 +78,8 @@ def learn_noise(state, information):
     window = state.window
     if window.travel_m < NOISE_WINDOW_M and window.elapsed_s < WINDOW_S:
         return
+    if state.increment.is_extrapolated:
+        return  # the window ends with a sample of odometry
     bounded = information.copy()
     for i in range(3):
         bounded[i, i] += 1e-6

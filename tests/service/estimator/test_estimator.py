@@ -125,6 +125,18 @@ def test_what_wrong_odometry_has_moved_is_not_measured_when_it_is_right_again() 
     assert abs(motion.pose_odom_base.x_m) < 0.1
 
 
+@pytest.mark.parametrize("period_ms", [20, 120, 200])
+def test_odometry_that_counts_backwards_is_named_also_where_it_is_slow(period_ms: int) -> None:
+    """At 1 m/s for 6 s, scans each 20 ms measure the pose."""
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, 6001, 20):
+        if stamp_ms % period_ms == 0:
+            model.add(odometry(stamp_ms, SE2(-stamp_ms * 1e-3, 0.0, 0.0)))
+        model.predict(stamp_ms * MS)
+        model.correct(matched(SE2(stamp_ms * 1e-3, 0.0, 0.0), TIGHT))
+    assert "distance off by" in model.fault
+
+
 def test_a_gyro_measures_the_rotation_between_samples_of_odometry() -> None:
     """Odometry each 300 ms is extrapolated; 1 s straight on, then the vehicle turns at 0.5 rad/s."""
     model, increments = Estimator(EstimatorConfig()), []
