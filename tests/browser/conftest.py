@@ -183,8 +183,10 @@ class Page:
     def resize(self, size: tuple[int, int], is_dark: bool = False) -> None:
         metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": size[0] < 600}
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-        scheme = {"name": "prefers-color-scheme", "value": "dark" if is_dark else "light"}
+        theme = "dark" if is_dark else "light"
+        scheme = {"name": "prefers-color-scheme", "value": theme}
         self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+        self.wait_for("return [undefined, arguments[0]].includes(document.documentElement.dataset.theme)", theme)
 
 
 def start_chromium(arguments: Sequence[str]) -> webdriver.Chrome:
