@@ -25,12 +25,14 @@ HOURS = float(os.environ.get("CORRIDOR_SOAK_HOURS", "10"))
 LASER = Laser(LMS100, 541, 50.0, -135.0, 0.5, every=5)  # ten scans a second: at most half a metre apart
 WINDOWS = 10  # the run is divided into; the first two are the map's, whose laps are new
 SETTLED = 2
+FIXED_EVERY = 20  # scans
 
 
 @dataclass(frozen=True)
 class Window:
     rss_mb: float
     scan_ms: float  # processor time, median
+    relative_time: float  # the same over that of a fixed computation beside: other programs slow both
     error_m: float  # RMSE
     sigma_m: float  # of the covariance's largest axis, median
 
@@ -56,13 +58,17 @@ def windows(world: str, seconds: float) -> Iterator[Window]:
     ride = Ride(build_world(world), 0, 0.5)
     first = ride.pose(0).inverse()
     session = MappingSession(lambda: build_mapper(mapping_config({}), {LASER.name: FORWARD}), [LASER.name])
-    took_ms, off_m, sigma_m, ends_ns = [], [], [], seconds * 1e9 / WINDOWS
+    took_ms, fixed_ms, off_m, sigma_m, ends_ns = [], [], [], [], seconds * 1e9 / WINDOWS
     for frame in frames(ride, seconds):
         began_ns = time.thread_time_ns()
         output = session.process(frame)
         if output is None:
             continue
-        took_ms.append((time.thread_time_ns() - began_ns) / 1e6)
+        ended_ns = time.thread_time_ns()
+        took_ms.append((ended_ns - began_ns) / 1e6)
+        if len(took_ms) % FIXED_EVERY == 0:
+            compute()
+            fixed_ms.append((time.thread_time_ns() - ended_ns) / 1e6)
         away = (first @ ride.pose(output.stamp_ns)).inverse() @ output.pose_map_base
         off_m.append(np.hypot(away.x_m, away.y_m))
         sigma_m.append(np.sqrt(np.linalg.eigvalsh(output.covariance[:2, :2])[-1]))
@@ -72,10 +78,19 @@ def windows(world: str, seconds: float) -> Iterator[Window]:
             yield Window(
                 _resident_mb(),
                 float(np.median(took_ms)),
+                float(np.median(took_ms) / np.median(fixed_ms)),
                 float(np.sqrt(np.mean(np.square(off_m)))),
                 float(np.median(sigma_m)),
             )
-            took_ms, off_m, sigma_m, ends_ns = [], [], [], ends_ns + seconds * 1e9 / WINDOWS
+            took_ms, fixed_ms, off_m, sigma_m, ends_ns = [], [], [], [], ends_ns + seconds * 1e9 / WINDOWS
+
+
+def compute() -> None:
+    """Always the same, as a scan of the mapper in its kinds of work: interpreted calls and small arrays."""
+    points, pose = np.linspace(-5.0, 5.0, 1082).reshape(-1, 2), SE2()
+    for k in range(40):
+        pose = pose @ SE2.exp(0.1, 0.0, 0.01 * k)
+        np.floor(points @ np.array([[0.8, -0.6], [0.6, 0.8]]) / 0.05).astype(np.int64).sum()
 
 
 def _resident_mb() -> float:
@@ -94,6 +109,6 @@ def test_laps_change_neither_memory_nor_time_a_scan_nor_error_nor_sigma(world: s
     reference = settled[0]
     for window in settled:
         assert window.rss_mb < 1.03 * reference.rss_mb
-        assert window.scan_ms < 1.05 * reference.scan_ms
+        assert window.relative_time < 1.05 * reference.relative_time
         assert window.error_m < 1.2 * reference.error_m + 0.005
         assert window.sigma_m < 1.2 * reference.sigma_m + 0.001
