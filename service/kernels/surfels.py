@@ -272,14 +272,12 @@ def wall_beside(near_surfels, first, end, dx, dy, nx, ny, per_square_reach, leas
     for k in range(first, end):
         mx = near_surfels[k, MEAN_X]
         my = near_surfels[k, MEAN_Y]
-        near = 1.0 - ((mx - dx) * (mx - dx) + (my - dy) * (my - dy)) * per_square_reach
-        if near <= 0.0:
-            continue
         sx = near_surfels[k, NORMAL_X]
         sy = near_surfels[k, NORMAL_Y]
-        if sx * nx + sy * ny <= least_cosine:
-            continue
-        weight = near_surfels[k, COUNT] * near * near
+        # Weights of 0 instead of branches, which no processor predicts here.
+        near = max(1.0 - ((mx - dx) * (mx - dx) + (my - dy) * (my - dy)) * per_square_reach, 0.0)
+        count = near_surfels[k, COUNT] if sx * nx + sy * ny > least_cosine else 0.0
+        weight = count * near * near
         total += weight
         sum_x += weight * mx
         sum_y += weight * my
