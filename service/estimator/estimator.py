@@ -13,7 +13,15 @@ from pydantic import Field
 from drivers.frames import ImuSample, OdometrySample
 from drivers.section import Section
 from service.estimator.consistent_covariance import ConsistentCovariance, widen_pose
-from service.estimator.motion import Matrix, Measurement, Motion, OdometryIncrement, Prediction, scan_alone
+from service.estimator.motion import (
+    PAUSE_NS,
+    Matrix,
+    Measurement,
+    Motion,
+    OdometryIncrement,
+    Prediction,
+    scan_alone,
+)
 from service.estimator.standstill import Standstill
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
@@ -54,7 +62,6 @@ FADE_S = 1.0  # time constant of a speed that neither scans nor odometry confirm
 NEW_GROUND_M = 0.5  # a rotation of a radian shows as much new ground as this path length
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
 DROPPED_TOGETHER = 64  # samples: a search for the oldest that is needed costs as much as a step
-PAUSE_NS = 1_000_000_000  # of odometry; shorter pauses are bridged without notice
 MAX_SPEED_MPS, MAX_TURN_RADPS = 30.0, 30.0  # of any vehicle: faster odometry has restarted
 WARNING_INTERVAL_NS = 10_000_000_000
 FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, without odometry

@@ -13,6 +13,7 @@ from service.outputs import Reason
 
 Matrix = npt.NDArray[np.float64]
 
+PAUSE_NS = 1_000_000_000  # without a measurement; after a longer one the motion may be another
 WRONG_ODOMETRY_NOISE = 20.0  # times the variance of its model: odometry with larger errors is wrong
 
 

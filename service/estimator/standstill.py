@@ -17,7 +17,7 @@ from service.geometry.se2 import wrap_angle
 from service.kernels.filter_state import TWIST
 from service.kernels.tracks import Track
 
-ROUNDING_M, ROUNDING_RAD = 1e-9, 1e-9  # by filters and changes of frame, within some 1000 km of the origin
+ROUNDING = 1e-9  # m and rad, by filters and changes of frame, within some 1000 km of the origin
 # Speed at standstill, 1 sigma; a vehicle that moves is faster by so many sigmas.
 STANDSTILL_SIGMA, MOVING_SIGMAS = (0.01, 0.01, 0.01), 5.0  # m/s, m/s, rad/s
 MAX_BRAKING_MPS2, MAX_TURN_BRAKING_RADPS2 = 5.0, 20.0  # of a vehicle that stops by itself
@@ -68,10 +68,10 @@ class Standstill:
         heading, while the vehicle moves.
         """
         x_m, y_m, theta_rad = (pose - last).tolist()
-        self._is_turning = abs(theta_rad) >= ROUNDING_RAD
+        self._is_turning = abs(theta_rad) >= ROUNDING
         if x_m == y_m == theta_rad == 0.0:
             return True
-        return math.hypot(x_m, y_m) < ROUNDING_M and (self.is_stuck or self._is_moving(state))
+        return math.hypot(x_m, y_m) < ROUNDING and (self.is_stuck or self._is_moving(state))
 
     def is_uninformative(self, stamp_ns: int, track: Track, state: np.void, period_s: float) -> bool:
         """Whether such a sample is no evidence of standstill.

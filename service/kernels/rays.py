@@ -6,7 +6,7 @@ import numpy as np
 
 from service.kernels.compiled import inner_kernel
 
-BEHIND_M = 0.3  # a beam passes through a wall if it ends at least this far behind it
+BEHIND_M = 0.3  # what a beam passes lies at least this far before its end
 
 
 @inner_kernel

@@ -186,7 +186,9 @@ class Page:
         theme = "dark" if is_dark else "light"
         scheme = {"name": "prefers-color-scheme", "value": theme}
         self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
-        self.wait_for("return [undefined, arguments[0]].includes(document.documentElement.dataset.theme)", theme)
+        self.wait_for(
+            "return [undefined, arguments[0]].includes(document.documentElement.dataset.theme)", theme
+        )
 
 
 def start_chromium(arguments: Sequence[str]) -> webdriver.Chrome:

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.frames import OdometrySample
-from service.estimator.estimator import PAUSE_NS
+from service.estimator.motion import PAUSE_NS
 from service.geometry.chi2 import CHI2_99_OF_3, CHI2_999_OF_3
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.step_offset import MIN_TURN_RAD, fit_step_offset

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.frames import LaserScan, OdometrySample
-from service.estimator.estimator import PAUSE_NS
-from service.estimator.motion import Prediction
+from service.estimator.motion import PAUSE_NS, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.tracks import SPEED_WINDOW_NS
 from service.mapper.checks.mounting_check import MountingCheck, centre

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from service.estimator.estimator import EstimatorConfig
+from service.estimator.motion import PAUSE_NS
 from service.geometry.se2 import SE2
 from service.kernels.filter_state import STUDENT
 from service.kernels.match import student_cost
@@ -14,7 +15,6 @@ from service.mapper.scan_match.attempt import Matrix
 
 USUAL = EstimatorConfig()  # process noise of a vehicle and noise of odometry, before learning
 MIN_STEP_NS = 20_000_000  # between poses that give a velocity
-MAX_UNSEEN_S = 1.0  # between two scans: after a longer gap the velocity may differ, or the vehicle was moved
 
 
 class SteadyMotion:
@@ -41,7 +41,7 @@ class SteadyMotion:
             return None
         (before_ns, before), (last_ns, last) = self._matched[0], self._matched[-1]
         step_ns, ahead_ns = last_ns - before_ns, stamp_ns - last_ns
-        if step_ns < MIN_STEP_NS or ahead_ns <= 0 or max(step_ns, ahead_ns) * 1e-9 > MAX_UNSEEN_S:
+        if step_ns < MIN_STEP_NS or ahead_ns <= 0 or max(step_ns, ahead_ns) > PAUSE_NS:
             return None
         steps = ahead_ns / step_ns
         forward_m, left_m, turn_rad = (before.inverse() @ last).log()

@@ -19,15 +19,16 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from service.estimator.motion import Prediction
+from service.estimator.motion import PAUSE_NS, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.beam_likelihood import WALL_SIGMA_M
 from service.kernels.filter_state import STUDENT
 from service.kernels.match import Prior
+from service.kernels.normals import ROUND_OBJECT_M
 from service.kernels.wall_groups import group_by_wall
 from service.mapper.judgement import JUMP_CHI2, MIN_CONFIRMING, is_loose, sigmas_of
 from service.mapper.scan_match.attempt import Aligned, Attempt, Matrix, chi2_of
-from service.mapper.scan_match.inertia import MAX_UNSEEN_S, USUAL, SteadyMotion, inertia_cost
+from service.mapper.scan_match.inertia import USUAL, SteadyMotion, inertia_cost
 from service.mapper.scan_match.reckoning import (
     MATCH_COVARIANCE,
     MATCH_SIGMA_M,
@@ -43,7 +44,6 @@ from service.outputs import NO_REASON, Reason, State
 Mask = npt.NDArray[np.bool_]
 
 OUTLIER_SHARE = 0.1  # of the returns, on no static wall; more while part of the scene moves
-PERSON_M = 0.6  # largest extent of an object that may walk by
 DECISIVE_SHARE = 0.5  # of the returns, or of the information about some direction
 BEAMS_TOGETHER = 10  # neighbouring beams hit one object and form one measurement of it
 # Prior log-odds that part of the scene moves rather than that odometry errs: where moving returns are
@@ -128,7 +128,7 @@ class MovingScene:
     def judge(self, aligned: Aligned, attempt: Attempt) -> Aligned:
         """An accepted match, replaced by that of the static returns where moving ones have displaced it."""
         conflict = self._reckoning.add(attempt.stamp_ns, attempt.predicted, aligned.pose)
-        if attempt.predicted.elapsed_s > MAX_UNSEEN_S:
+        if attempt.predicted.elapsed_s > PAUSE_NS * 1e-9:
             self._reckoning.restart(attempt.stamp_ns, aligned.pose)
             return aligned
         if conflict is None and not self._reckoning.is_silent and aligned.result.share > 1.0 - OUTLIER_SHARE:
@@ -305,7 +305,7 @@ def _classified(
         lowest, highest = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
         np.minimum.at(lowest, group, xy_base)
         np.maximum.at(highest, group, xy_base)
-        is_small = (np.hypot(*(highest - lowest).T) < PERSON_M)[group]
+        is_small = (np.hypot(*(highest - lowest).T) < ROUND_OBJECT_M)[group]
         before = submap.static_residuals(xy_base, attempt.normals, pose, STATIC_PATH_M + moving_path_m)
         is_static &= ~is_small | np.isfinite(before)
     is_moving |= moves[group]
@@ -335,7 +335,7 @@ def _share_on_walls_only_at(one: Aligned, other: Aligned, attempt: Attempt) -> f
 
 def _is_witnessed(predicted: Prediction) -> bool:
     """Whether odometry measured the step from a recent scan."""
-    return predicted.increment is not None and predicted.elapsed_s <= MAX_UNSEEN_S
+    return predicted.increment is not None and predicted.elapsed_s <= PAUSE_NS * 1e-9
 
 
 def _prior_at(conflict: Conflict, attempt: Attempt) -> Prior:

@@ -8,13 +8,13 @@ import numpy.typing as npt
 
 from service.kernels.normals import ROUND_OBJECT_M
 from service.kernels.posts import find_posts
+from service.kernels.rays import BEHIND_M
 from service.mapper.components import Points
 
 Matrix = npt.NDArray[np.float64]
 
 # Share of the points on posts: 0.73 and more in a wood. With fewer posts, walls fix the pose better.
 MIN_POST_SHARE = 0.7
-MIN_STEP_M = 0.3  # least range step from a post to its background
 CENTROID = math.pi / 4.0  # in radii: distance of the centroid of the visible points in front of the centre
 ROUND_M = 0.02  # deviation of a post from a circle
 
@@ -66,7 +66,7 @@ def posts_of(points: Points) -> Posts | None:
         len(points.scan.range_m),
         points.spacing_rad,
         sensor,
-        MIN_STEP_M,
+        BEHIND_M,
         ROUND_OBJECT_M,
     )
     if on_posts < max(MIN_POST_SHARE * count, 1):

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from drivers.frames import GnssFix
+from service.estimator.motion import PAUSE_NS
 from service.geometry.se2 import SE2
 
 MAX_FIX_SIGMA_M = 10.0  # of the worse direction: fixes with more are dropped
-MAX_GAP_NS = 1_000_000_000  # between the two scans around a fix: a longer gap has no reliable path
 REMEMBERED_NS = 5_000_000_000  # of scans: a fix arrives after the scans of its moment
 MAX_FIXES_WAITING = 256  # fixes that wait for a scan
 SPACING_M = 5.0  # between two kept fixes: closer ones are redundant
@@ -101,7 +101,7 @@ class FixTrack:
             after = next(k for k, scan in enumerate(self._scans) if scan.stamp_ns >= fix.stamp_ns)
             b = self._scans[after]
             a = b if b.stamp_ns == fix.stamp_ns or after == 0 else self._scans[after - 1]
-            if not a.stamp_ns <= fix.stamp_ns or b.stamp_ns - a.stamp_ns > MAX_GAP_NS or a.keyframe < 0:
+            if not a.stamp_ns <= fix.stamp_ns or b.stamp_ns - a.stamp_ns > PAUSE_NS or a.keyframe < 0:
                 self._counts["fixes_without_scans"] += 1
                 continue
             here = _between(a, b, fix.stamp_ns)

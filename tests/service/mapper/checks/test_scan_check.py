@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.frames import NO_INTENSITY, LaserScan
-from service.estimator.estimator import PAUSE_NS
+from service.estimator.motion import PAUSE_NS
 from service.kernels.tracks import SPEED_WINDOW_NS
 from service.mapper.checks.sensor_checks import OdometryWait, ScanCheck
 
