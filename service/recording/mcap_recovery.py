@@ -20,6 +20,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
+from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, Schema
@@ -32,7 +33,7 @@ from service.readable import open_file
 from service.recording.mcap_chunks import ChunkRecord, chunk_records, complete_records
 from service.recording.mcap_file import ACTIVE_SUFFIX, CHUNK_BYTES, LIBRARY, PROFILE, is_locked
 from service.recording.mcap_reader import Recording
-from service.recording.unpacking import unpacked, zstd_decompressor
+from service.recording.unpacking import NewDecompressor, unpacked, zstd_decompressor
 from service.writable import sync
 
 log = logging.getLogger(__name__)
@@ -44,8 +45,13 @@ UNREADABLE_SUFFIX = ".unreadable"  # a leftover without a single message
 
 _FRAME = struct.Struct("<BQ")  # opcode, length of what follows
 _CHUNK_FIXED = struct.Struct("<QQQII")  # first and last log time, size, crc, length of the compression's name
-# Names of compressions as they stand in a chunk, with their length.
-_CHUNK_NAMES = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
+# Names of compressions as they stand in a chunk, with their length -> what unpacks; None: it is not packed.
+_DECOMPRESSORS: dict[bytes, NewDecompressor | None] = {
+    b"\x04\x00\x00\x00zstd": zstd_decompressor,
+    b"\x03\x00\x00\x00lz4": LZ4FrameDecompressor,
+    b"\x00\x00\x00\x00": None,
+}
+_CHUNK_NAMES = [name for name, new in _DECOMPRESSORS.items() if new is not None]  # found among other bytes
 _NAME_OFFSET = _FRAME.size + _CHUNK_FIXED.size - 4
 
 Record = Schema | Channel | Message | Attachment | Metadata
@@ -272,14 +278,17 @@ class _Walk:
         return records
 
     def _salvage_cut_chunk(self, offset: int) -> Iterator[Record]:
-        """The complete records at the beginning of a zstd chunk whose end is missing."""
-        name_at, name = offset + _NAME_OFFSET, _CHUNK_NAMES[0]
-        if self._data[offset] != Opcode.CHUNK or self._data[name_at : name_at + len(name)] != name:
+        """The complete records at the beginning of a chunk whose end is missing."""
+        begin = self._data[offset : offset + _NAME_OFFSET + 16]
+        name = next((name for name in _DECOMPRESSORS if begin[_NAME_OFFSET:].startswith(name)), None)
+        if begin[0] != Opcode.CHUNK or name is None:
             return
-        start = name_at + len(name) + 8
+        start = offset + _NAME_OFFSET + len(name) + 8
         packed = self._data[start : start + MAX_CHUNK_BYTES]
+        new = _DECOMPRESSORS[name]
         try:
-            content = unpacked(packed, zstd_decompressor, MAX_CHUNK_BYTES, f"{self._source}: a chunk")
+            what = f"{self._source}: a chunk"
+            content = packed if new is None else unpacked(packed, new, MAX_CHUNK_BYTES, what)
             self._unpacking.take(len(content))
             records, _ = complete_records(content, self._source)
         except TooLargeError:

@@ -2,7 +2,7 @@ import fcntl
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
 from service.errors import CorridorError, InputError
 from service.recording import mcap_recovery
@@ -81,6 +81,24 @@ def test_whole_messages_of_a_cut_chunk_are_kept(tmp_path):
     report = recover(path)
     assert 100 < report.messages < len(written)
     assert read_back(report.path) == as_read(written[: report.messages])
+
+
+@pytest.mark.parametrize("compression", CompressionType)
+def test_whole_messages_of_a_cut_chunk_of_another_recorder_are_kept(tmp_path, compression):
+    """`ros2 bag record` compresses by nothing, lz4 or zstd, as it is set."""
+    path = tmp_path / "s_0001.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=2_000_000, compression=compression)
+        writer.start("ros2", "another recorder")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+        channel = writer.register_channel("/words", "cdr", schema)
+        for k in range(400):
+            words = np.random.default_rng(k).bytes(1_000).hex().encode()
+            payload = b"\0\1\0\0" + (len(words) + 1).to_bytes(4, "little") + words + b"\0"
+            writer.add_message(channel, k, payload, k)
+        writer.finish()
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert 100 < recover(path).messages < 300
 
 
 def test_a_flipped_byte_costs_one_chunk(active):
