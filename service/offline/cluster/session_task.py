@@ -37,13 +37,11 @@ class Task:
     def work(self) -> Done:
         """Raises CorridorError."""
         manifest = _manifest(self)
-        place = self.folder / DONE_FILE
         try:
             if not self.is_again and (summary := _summary_of(self.folder, manifest)) is not None:
                 return Done(summary, manifest, was_done=True)
-            place.unlink(missing_ok=True)
             summary = replay_to(self.session, self.options, self.folder, self.extras)
-            place.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+            (self.folder / DONE_FILE).write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
         except CorridorError:
             raise
         except OSError as error:

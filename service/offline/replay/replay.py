@@ -13,8 +13,9 @@ from typing import Any
 from service.archive import is_remote, refuse_unreachable, written_to
 from service.compile.warm_up import KernelProgress, warm_up_in_turn
 from service.encoding import warm_up as warm_up_encoding
-from service.errors import CorridorError
+from service.errors import CorridorError, StorageError, UsageError, words_of
 from service.mapstore.begin_in import begin_in
+from service.offline.past.result import DONE_FILE, MAP_FOLDER, UNEDITED
 from service.offline.replay.figures import Warned, doubts
 from service.offline.replay.pace import Watch
 from service.offline.replay.raw import FROM_RAW, remake_frames
@@ -166,12 +167,32 @@ def replay_to(
 ) -> dict[str, Any]:
     """Replay one session and write its result to a folder or a URL; its summary. Raises CorridorError."""
     refuse_unwritable_folder(out)
+    _begin_result(out, options.map)
     done = replay(session, options, progress, watch)
     with written_to(out, remains_in) as folder:
         write_replay(done, folder, extras)
         if "report" in extras:
             write_report(folder, folder / REPORT_FILE)
     return done.summary
+
+
+def _begin_result(out: Path, begun_in: Path | None) -> None:
+    """From here on a folder or a URL has no complete result. Raises UsageError where the new one would
+    replace a map with edits, or the map it begins in, StorageError where a store refuses.
+    """
+    if begun_in is not None and begun_in.resolve() == (out / MAP_FOLDER).absolute().resolve():
+        raise UsageError(f"--map {begun_in} is read and would be replaced; name another folder by --out")
+    try:
+        if (out / UNEDITED).exists():
+            raise UsageError(
+                f"{out}: its map was edited (corridor map log {out / MAP_FOLDER}), and a new result would "
+                "replace it; name another folder by --out, or delete this one"
+            )
+        (out / DONE_FILE).unlink(missing_ok=True)
+    except UsageError:
+        raise
+    except Exception as error:  # each store raises its own
+        raise StorageError(f"cannot write to {out}: {words_of(error)}") from error
 
 
 def _part_of(progress: Progress, part: int, parts: int) -> Progress:

@@ -9,9 +9,16 @@ from rosbags.highlevel import AnyReader
 
 from service.cli import main
 from service.encoding import encode_frame, encode_tf_static
-from service.errors import ConfigError, InputError
+from service.errors import ConfigError, InputError, UsageError
 from service.geometry.se2 import SE2
-from service.offline.replay.replay import ReplayOptions, group_sessions, replay, result_folders, write_replay
+from service.offline.replay.replay import (
+    ReplayOptions,
+    group_sessions,
+    replay,
+    result_folders,
+    session_name,
+    write_replay,
+)
 from service.offline.replay.result import RESULT_SESSION
 from service.offline.score.trajectory import read_tum
 from tests.service.offline.recorded_drives import BEAMS, CONFIG, T0_NS, RecordDrive, odometry_at, room_scan
@@ -159,6 +166,32 @@ def test_a_reset_at_the_very_end_leaves_the_map_before_to_be_shown(record_drive:
     assert len(done.outputs) == 40
     assert done.summary["map_tiles"] == plain.summary["map_tiles"] > 0
     write_replay(done, tmp_path / "out")
+
+
+def test_a_map_that_was_edited_or_is_begun_in_is_not_replaced(
+    record_drive: RecordDrive, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    session = record_drive(scans=150)
+    out = tmp_path / "o" / session_name([session])
+    stored, command = str(out / "map"), ["replay", str(session)]
+    batch = [*command, "--out", str(out.parent), "--jobs", "1"]
+
+    def files() -> dict[str, bytes]:
+        return {str(path): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+
+    assert main(batch) == 0
+    before = files()
+    for more in ([], ["--localize"]):
+        assert main([*command, "--map", stored, "--out", str(out), *more]) == UsageError.exit_code
+        assert f"--map {stored} is read and would be replaced" in capfd.readouterr().err
+    assert files() == before
+    assert main(["map", "edit", stored, "--wall", "1.0", "-0.5", "1.0", "0.5"]) == 0
+    before = files()
+    assert main([*command, "--out", str(out)]) == UsageError.exit_code
+    assert f"its map was edited (corridor map log {stored})" in capfd.readouterr().err
+    assert main([*batch, "--profile", "contour_lm"]) == UsageError.exit_code
+    assert main(batch) == 0  # it is done already
+    assert files() == before
 
 
 def test_each_result_has_a_folder_of_its_own():
