@@ -12,11 +12,13 @@ from service.cli.recordings import choice_of
 from service.cli.sessions import engine_of
 from service.compile.cache import ensure_cache_dir
 from service.errors import InputError, UsageError
+from service.readable import refuse_unreadable
 from service.recording.opening import name_of
 
 
 def tune(parsed: argparse.Namespace) -> int:
     ensure_cache_dir()
+    from service.mapper.profiles import begins_in_stored
     from service.offline.replay.replay import group_sessions
     from service.offline.replay.setup import ReplayOptions, set_up
     from service.offline.replay.setup import choice_of as topics_of
@@ -31,7 +33,13 @@ def tune(parsed: argparse.Namespace) -> int:
     sessions = group_sessions([path_or_url(one) for one in parsed.files])
     truths = truths_of(sessions, parsed.truth)
     mapping = set_up(open_session(sessions[0], topics_of(options)), options).mapping
-    parameters = parameters_of(mapping, parsed.parameter)
+    if parsed.truth is None and not begins_in_stored(mapping):
+        raise UsageError(
+            f"--self: the profile {mapping.profile} stores no pose graph, by which a result is measured "
+            "without a truth; give --truth, or --profile corridor"
+        )
+    samples = {kind for one in sessions for kind, _ in open_session(one, topics_of(options)).topics_of}
+    parameters = parameters_of(mapping, parsed.parameter, samples)
     if is_remote(out := path_or_url(parsed.out)):
         raise UsageError(f"--out {out}: the state of a search is on a disk; give a folder")
     refuse_unwritable_folder(out)
@@ -85,4 +93,6 @@ def truths_of(sessions: Sequence[Sequence[Path]], given: Sequence[Path] | None) 
             f"--truth: {len(given)} files for {len(sessions)} sessions; give one for each, in their order, "
             "or a folder of files named like the sessions"
         )
+    for truth in given:
+        refuse_unreadable(truth)
     return list(given)

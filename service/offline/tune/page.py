@@ -47,7 +47,14 @@ def verdict(outcome: Outcome) -> list[str]:
         if (costs := outcome.costs(is_held_out)) is not None:
             drives = counted(sum(one.is_held_out == is_held_out for one in outcome.drives), "session")
             lines.append(f"{what}: {costs[0]:.4g} -> {costs[1]:.4g} on the {words} ({drives})")
-    held_out = outcome.costs(True)
+    searched, held_out = outcome.costs(False), outcome.costs(True)
+    if not truth and not any(of[0].parts.get("pass_offset_m", 1.0) for of in outcome.measured.values()):
+        lines.append(
+            "no session comes back to a wall 5 m of path or more later, so errors of the pose do not show: "
+            "give sessions that do, or --truth"
+        )
+    if searched is not None and searched[1] >= searched[0]:
+        lines.append("nothing that was tried is better than the present values: keep them")
     if held_out is None:
         lines.append("no session was held out: whether it helps on other drives is not known")
     elif held_out[1] > held_out[0]:

@@ -16,6 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from service.archive import fingerprint
 from service.errors import ConfigError, CorridorError, InputError, StorageError, UsageError
 from service.extras import optional
 from service.offline.cluster.engines import Engine
@@ -26,9 +27,11 @@ from service.offline.tune.measures import Measured, measure
 from service.offline.tune.space import Parameter, section_of
 
 STUDY_FILE = "study.db"
+TRIALS = "trials"  # folder of the results of the trial at work
 PRUNE_AFTER = 5  # trials that always come to their end: the first ones show what is usual
 ABOUT, COST_MS, REFUSED = "about", "scan_cpu_ms", "refused"  # attributes of a study, of a trial
-Progress = Callable[[float, str, str], None]  # share of the trials; the phase; as text
+# Share of the trials, None of other phases; the phase; as text
+Progress = Callable[[float | None, str, str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +100,12 @@ def tune(
     optuna = optional("optuna", "tune", "corridor tune")
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     run = _Runs(drives, options, parameters, out, engine)
+    about = _about(drives, options, parameters, seed)
+    study = _open_study(optuna, out, about)  # before out/present, which another search may have filled
+    progress(None, "replays with the present settings", "")
     present = run.all("present", {one.name: one.present for one in parameters}, drives)
-    study = _open_study(optuna, out, _about(drives, options, parameters, seed), parameters)
+    _begin_search(optuna, study, about, parameters)
+    progress(len(_ended(study)) / trials, "trials", "")
     while (done := len(_ended(study))) < trials:
         # Again for each trial, of its number: a search that goes on draws what one in a single run draws.
         study.sampler = optuna.samplers.TPESampler(seed=seed + done, multivariate=True)
@@ -110,6 +117,8 @@ def tune(
     if not _complete(study):
         raise CorridorError("no trial came to its end: every setting tried was refused; narrow the ranges")
     best = {one.name: one.tried(study.best_params[one.name]) for one in parameters}
+    shutil.rmtree(out / TRIALS, ignore_errors=True)
+    progress(None, "replays with the best settings", "")
     after = run.all("best", best, drives)
     measured = {one.name: (present[one.name], after[one.name]) for one in drives}
     return Outcome(study, parameters, drives, best, measured)
@@ -119,7 +128,7 @@ def _try(optuna: Any, trial: Any, run: "_Runs") -> tuple[Any, float | None]:
     """State and cost of a trial; it ends early where it is worse than the median so far."""
     states = optuna.trial.TrialState
     values = {one.name: one.suggested(trial) for one in run.parameters}
-    folder = f"trials/{hashlib.sha256(json.dumps(values).encode()).hexdigest()[:12]}"
+    folder = f"{TRIALS}/{hashlib.sha256(json.dumps(values).encode()).hexdigest()[:12]}"
     measured: list[Measured] = []
     times: list[float] = []
     searched = [one for one in run.drives if not one.is_held_out]
@@ -177,7 +186,8 @@ class _Runs:
                     next_one += 1
 
 
-def _open_study(optuna: Any, out: Path, about: str, parameters: Sequence[Parameter]) -> Any:
+def _open_study(optuna: Any, out: Path, about: str) -> Any:
+    """Raises UsageError where it is another search, StorageError."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         study = optuna.create_study(
@@ -196,19 +206,26 @@ def _open_study(optuna: Any, out: Path, about: str, parameters: Sequence[Paramet
             f"{out} has a search of other sessions, settings, ranges or sources of corridor; name another "
             "folder by --out, or delete it"
         )
+    return study
+
+
+def _begin_search(optuna: Any, study: Any, about: str, parameters: Sequence[Parameter]) -> None:
     study.set_user_attr(ABOUT, about)
     for trial in study.get_trials(states=[optuna.trial.TrialState.RUNNING]):
         study.tell(trial.number, state=optuna.trial.TrialState.FAIL)  # cut off: it is evaluated once more
     waiting = study.get_trials(states=[optuna.trial.TrialState.WAITING])
     if not _ended(study) and not waiting and all(one.low <= one.present <= one.high for one in parameters):
         study.enqueue_trial({one.name: one.present for one in parameters})
-    return study
 
 
 def _about(
     drives: Sequence[Drive], options: ReplayOptions, parameters: Sequence[Parameter], seed: int
 ) -> str:
-    words = [list(map(str, drives)), str(options), list(map(str, parameters)), seed, program_digest()]
+    """Digest of all that a search depends on but the recordings, which are large: those by their names."""
+    files = {one.truth for one in drives} | {options.config}
+    content = sorted(fingerprint(path) for path in files if path is not None)
+    given = [list(map(str, drives)), str(options), list(map(str, parameters)), seed, content]
+    words = [*given, program_digest()]
     return hashlib.sha256(json.dumps(words).encode()).hexdigest()
 
 

@@ -1,7 +1,7 @@
 """Which settings of a profile are searched, and between which values."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +14,7 @@ from service.suggestion import suggest
 FACTOR = 10.0  # to each side of the present value, where no range is given
 USUAL_SLOTS = ("motion_model", "matcher")  # whose settings are searched where none is named
 DIGITS = 3  # of a value
+NEEDS = {"odometry_": "odom", "gyro_": "imu"}  # beginning of a setting -> the samples that it is about
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,18 +45,22 @@ class Parameter:
         return round(value) if self.is_whole else float(f"{value:.{DIGITS}g}")
 
 
-def parameters_of(mapping: MappingConfig, wanted: Sequence[str]) -> list[Parameter]:
+def parameters_of(
+    mapping: MappingConfig, wanted: Sequence[str], samples: Collection[str] = tuple(NEEDS.values())
+) -> list[Parameter]:
     """`wanted` has names, each with `=LOW:HIGH` where not a tenth to ten times the present value is tried;
     `matcher.wall_sigma_m`, or the end of it where that fits one alone. Without any, the fractions among the
-    settings of USUAL_SLOTS.
+    settings of USUAL_SLOTS. What only samples decide that no session has is not searched, and refused where
+    it is named: any value of it would do.
+
+    samples   kinds in the sessions, as of NEEDS
 
     Raises UsageError.
     """
     numbers = {parameter.name: parameter for parameter in _numbers(mapping.settings, ("settings",))}
     if not wanted:
-        return [
-            one for one in numbers.values() if one.name.partition(".")[0] in USUAL_SLOTS and not one.is_whole
-        ]
+        usual = [one for one in numbers.values() if one.name.partition(".")[0] in USUAL_SLOTS]
+        return [one for one in usual if not one.is_whole and not _missing(one, samples)]
     found: dict[str, Parameter] = {}
     for words in wanted:
         name, _, span = words.partition("=")
@@ -65,8 +70,16 @@ def parameters_of(mapping: MappingConfig, wanted: Sequence[str]) -> list[Paramet
             hint = " or ".join(fitting) or suggest(name.rpartition(".")[2], ends)
             raise UsageError(f"--parameter {name}: {'which one? ' if fitting else 'unknown; '}{hint}")
         parameter = numbers[fitting[0]]
+        if kind := _missing(parameter, samples):
+            raise UsageError(f"--parameter {name}: no session has samples of {kind}; leave it out")
         found[parameter.name] = _between(parameter, span) if span else parameter
     return list(found.values())
+
+
+def _missing(parameter: Parameter, samples: Collection[str]) -> str:
+    """Kind of the samples that it is about, where there are none; else ""."""
+    needed = (kind for begin, kind in NEEDS.items() if parameter.path[-1].startswith(begin))
+    return next((kind for kind in needed if kind not in samples), "")
 
 
 def _between(parameter: Parameter, span: str) -> Parameter:

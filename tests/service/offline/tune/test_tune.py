@@ -61,6 +61,14 @@ def test_what_is_no_parameter_is_refused_with_what_there_is(wanted: str, words: 
         parameters_of(MAPPING, [wanted])
 
 
+def test_what_samples_decide_that_no_session_has_is_not_searched():
+    without = {one.name for one in parameters_of(MAPPING, [], ())}
+    assert {one.name for one in parameters_of(MAPPING, [], ("odom", "imu"))} > without
+    assert not any(name.startswith(("motion_model.odometry_", "motion_model.gyro_")) for name in without)
+    with pytest.raises(UsageError, match="gyro_walk: no session has samples of imu; leave it out"):
+        parameters_of(MAPPING, ["gyro_walk"], ("odom",))
+
+
 def test_walls_that_two_passes_see_apart_are_measured():
     """A wall along x seen by the first key frame, and 20 m of path later by one that is 2 cm off."""
     x = np.arange(0.0, 2.0, 0.02)
@@ -150,6 +158,26 @@ def test_a_search_that_was_stopped_goes_on_as_if_it_had_not_been(drives_given: l
     assert went_on.best == whole.best
 
 
+def test_another_search_in_the_same_folder_is_refused_before_its_results_are_replaced(
+    drives_given: list[Drive], tmp_path: Path
+):
+    config = tmp_path / "c.yaml"
+    config.write_text("mapping: {cell_m: 0.05}\n")
+    out, options = tmp_path / "out", ReplayOptions(config=config)
+    phases: list[str] = []
+    tune(drives_given, options, PARAMETERS, out, 1, 1, quadratic, lambda _, phase, note: phases.append(phase))
+    assert list(dict.fromkeys(phases)) == [
+        "replays with the present settings",
+        "trials",
+        "replays with the best settings",
+    ]
+    config.write_text("mapping: {cell_m: 0.1}\n")
+    none_of: Any = None  # no engine: nothing may be replayed
+    for given, seed in ((options, 1), (ReplayOptions(), 1), (options, 2)):
+        with pytest.raises(UsageError, match="has a search of other sessions"):
+            tune(drives_given, given, PARAMETERS, out, 2, seed, none_of, lambda *_: None)
+
+
 def test_settings_that_are_refused_are_no_result_and_end_no_search(drives_given: list[Drive], tmp_path: Path):
     calls = iter([False, True, True, True, *[False] * 4, True])
 
@@ -170,6 +198,14 @@ def test_held_out_sessions_that_become_worse_are_reported(drives_given: list[Dri
     measured = {"d0.mcap": (bad, good), "d1.mcap": (good, bad), "d2.mcap": (bad, good)}
     outcome = Outcome(None, PARAMETERS, drives_given, {}, measured)
     assert verdict(outcome)[-1].startswith("the held-out sessions became worse")
+    assert "nothing that was tried is better" not in "".join(verdict(outcome))
+    as_before = replace(outcome, measured=dict.fromkeys(measured, (good, good)))
+    assert "nothing that was tried is better than the present values: keep them" in verdict(as_before)
+    once = Measured(1.0, {"pass_offset_m": 0.0})
+    assert (
+        "errors of the pose do not show"
+        in verdict(replace(outcome, measured=dict.fromkeys(measured, (once, good))))[2]
+    )
     none_held_out = replace(outcome, drives=drives_given[::2])
     assert verdict(none_held_out)[-1].startswith("no session was held out")
     assert geometric_mean([Measured(0.01, {}), Measured(1.0, {})]) == pytest.approx(0.1)
@@ -191,6 +227,10 @@ def test_the_command_searches_real_drives_without_a_truth(
     assert main(["tune", sessions[0], "--truth", str(tmp_path)]) == InputError.exit_code
     assert "the truth of" in capfd.readouterr().err
     assert main(["tune", *sessions, "--truth", sessions[0]]) == UsageError.exit_code
+    assert main(["tune", *sessions, "--truth", "no.tum", "no.tum"]) == InputError.exit_code
+    assert capfd.readouterr().err.endswith("no.tum: no such file or folder\n")
+    assert main(["tune", *sessions, "--self", "--profile", "contour_lm"]) == UsageError.exit_code
+    assert "stores no pose graph" in capfd.readouterr().err
 
 
 @pytest.mark.soak
