@@ -279,14 +279,15 @@ def site(parsed: argparse.Namespace) -> int:
         report = site_build(paths, options, parsed.out, engine, shown, parsed.join)
     if parsed.json:
         print_result(report, as_json=True)
-        return 0
-    print_table(site_table(report))
-    for name, why in report["left_out"].items():
-        print(f"left out: {name}: {why}")
-    for warning in report["warnings"]:
-        print(f"warning: {warning}")
-    print(summary_of(report))
-    return 0
+    else:
+        print_table(site_table(report))
+        for name, why in report["left_out"].items():
+            print(printable(f"left out: {name}: {why}"))
+        for warning in report["warnings"]:
+            print(printable(f"warning: {warning}"))
+        print(printable(summary_of(report)))
+    exit_code: int = next(iter(report["failed"].values()), 0)
+    return exit_code
 
 
 def calibrate(parsed: argparse.Namespace) -> int:

@@ -45,7 +45,8 @@ def site_build(
     progress: Progress,
     joined: Collection[str] = (),
 ) -> dict[str, Any]:
-    """Add sessions to the site map in `out`, or begin one; its outcome, for JSON.
+    """Add sessions to the site map in `out`, or begin one; its outcome, for JSON: with the exit codes of the
+    recordings given that could not be mapped, `failed`.
 
     joined   names of sessions that are added also where the others contradict them
 
@@ -99,7 +100,10 @@ def site_build(
         if not isinstance(outcome, CorridorError)
         for words in outcome["warnings"]
     ]
-    return report | {"warnings": [*passed_over, *of_replays, *_uncertain(changed)]}
+    return report | {
+        "failed": {name: error.exit_code for name, error in failed.items()},
+        "warnings": [*passed_over, *of_replays, *_uncertain(changed)],
+    }
 
 
 def _written(

@@ -1,6 +1,7 @@
 """One map of several drives: drives round a ring of corridors, each in a map frame of its own."""
 
 import errno
+import json
 import math
 import shutil
 from collections.abc import Iterator, Sequence
@@ -342,6 +343,20 @@ def test_the_command_tells_who_is_in_and_who_is_not(three, drives, capsys):
     table, summary = capsys.readouterr().out.rstrip().rsplit("\n", 1)
     assert "left out: elsewhere: " in table
     assert summary.endswith("3 sessions of the site, 0 of them new; 1 left out: elsewhere")
+
+
+def test_a_recording_that_cannot_be_read_keeps_no_other_back_and_gives_the_exit_code(
+    drives, tmp_path, capsys
+):
+    bad = tmp_path / "bad.mcap"
+    bad.write_text("no recording")
+    command = ["site", "build", str(bad), str(drives / "a"), "--out", str(tmp_path / "site")]
+    assert main([*command, "--json"]) == InputError.exit_code
+    report = json.loads(capsys.readouterr().out)
+    assert (names_in(report), report["failed"]) == (["a"], {"bad": InputError.exit_code})
+    assert "bad.mcap is no recording" in report["left_out"]["bad"]
+    assert main(command) == InputError.exit_code
+    assert main(["site", "build", str(drives / "a"), "--out", str(tmp_path / "site")]) == 0
 
 
 def knowing(tasks: Sequence[AnyTask]) -> Ended:
