@@ -73,6 +73,7 @@ def import_rosbag(bag_path: Path, out_path: Path, choice: Choice = NO_CHOICE) ->
         raise InputError(
             f"{bag_path}: not one beam came back in all scans of "
             f"{' and '.join(sorted(session.mountings))}; nothing can be mapped of it"
+            + "".join(f"; {loss}" for loss in session.losses)
         )
     about = {"source": bag_path.name, "format": "rosbag", "notes": "\n".join(report.notes)}
     write_session(out_path, _counted(session, report), report.mountings, about, log_times=True)

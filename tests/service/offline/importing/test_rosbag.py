@@ -88,12 +88,17 @@ def test_a_bag_without_a_laser_is_refused_with_what_it_holds(tmp_path):
     assert not list(tmp_path.glob("out*"))
 
 
-def test_a_bag_without_a_beam_that_came_back_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("beams", "why"), [(541, "$"), (0, "; .*1 of 1 message cannot be used; of the first it")]
+)
+def test_a_bag_without_a_beam_that_came_back_is_refused(beams, why, tmp_path):
     frames = open_session([BAGS["ROS 1"](tmp_path)]).frames()
     scan = next(frame for frame in frames if isinstance(frame, LaserScan))
-    blind = replace(scan, sensor="front", range_m=np.full(541, 30.0, np.float32))
+    blind = replace(scan, sensor="front", range_m=np.full(beams, 30.0, np.float32))
     bag = write_ros1(tmp_path / "blind.bag", [encode_frame(blind)])
-    with pytest.raises(InputError, match="not one beam came back in all scans of front"):
+    with pytest.raises(
+        InputError, match=f"not one beam came back in all scans of front; nothing .* of it{why}"
+    ):
         import_rosbag(bag, tmp_path / "out.mcap")
     assert not list(tmp_path.glob("out*"))
 
