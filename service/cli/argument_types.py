@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
+from service.archive import path_or_url
+
 METHODS = Path(__file__).parents[1] / "mapper" / "methods"  # a folder for each profile
 WORLDS = (
     *("corridor100", "crowd", "featureless", "floor", "glass_corridor", "glass_hall", "hall100", "hall200"),
@@ -77,9 +79,19 @@ def rate(text: str) -> float:
         raise argparse.ArgumentTypeError(f"{error}; give one, or max") from error
 
 
+def local_path(text: str) -> Path:
+    """Path would make s3:/bucket of s3://bucket, and a command write to a folder of that name."""
+    if "://" in text and not text.startswith("file://"):
+        raise argparse.ArgumentTypeError(
+            f"{text} is a URL; expected a path on this machine. Copy the file: only replay, tune and site "
+            "build read recordings by URLs, and only replay --out may be one"
+        )
+    return path_or_url(text)
+
+
 def map_and_version(text: str) -> tuple[Path, int | None]:
     """office@12 is version 12 of office; a folder whose name holds an @ is itself."""
     folder, _, version = text.rpartition("@")
     if folder and version.isdigit() and not Path(text).exists():
-        return Path(folder), int(version)
-    return Path(text), None
+        return local_path(folder), int(version)
+    return local_path(text), None

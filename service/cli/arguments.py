@@ -9,6 +9,7 @@ from service.cli.argument_types import (
     PROFILES,
     WORLDS,
     OneOf,
+    local_path,
     map_and_version,
     port,
     positive,
@@ -73,7 +74,7 @@ def new_parser() -> Parser:
     completion = _add(commands, "completion", "print the script by which a shell completes this command line")
     completion.add_argument("shell", choices=("bash", "zsh", "fish"))
     man = _add(commands, "man", "write the manual pages of the program and of its commands, for `man`")
-    man.add_argument("folder", type=Path, metavar="DIR", help="share/man/man1 of a prefix, say")
+    man.add_argument("folder", type=local_path, metavar="DIR", help="share/man/man1 of a prefix, say")
     return parser
 
 
@@ -81,7 +82,7 @@ def _add_run(commands: Any) -> None:
     run = _add(
         commands, "run", "the live service: drivers, mapping, Zenoh, recording, until SIGTERM or Ctrl-C"
     )
-    run.add_argument("config", type=Path, metavar="CONFIG.yaml")
+    run.add_argument("config", type=local_path, metavar="CONFIG.yaml")
 
 
 def _add_demo(commands: Any) -> None:
@@ -108,10 +109,14 @@ def _add_demo(commands: Any) -> None:
     )
     demo.add_argument("--seed", type=int, default=1, help="of the world and its noise (default: 1)")
     demo.add_argument(
-        "--faults", type=Path, metavar="FILE", help="what goes wrong with the devices, and when"
+        "--faults", type=local_path, metavar="FILE", help="what goes wrong with the devices, and when"
     )
     demo.add_argument(
-        "--out", type=Path, default=Path("out"), metavar="DIR", help="sessions and map go here (default: out)"
+        "--out",
+        type=local_path,
+        default=Path("out"),
+        metavar="DIR",
+        help="sessions and map go here (default: out)",
     )
     demo.add_argument("--no-web", action="store_true", help="serve no operator's page")
 
@@ -129,7 +134,7 @@ def _add_replay_input(replay: argparse.ArgumentParser) -> None:
     _add_profile(replay, "map with this profile instead of the recorded one")
     replay.add_argument(
         "--config",
-        type=Path,
+        type=local_path,
         metavar="CONFIG.yaml",
         help="map with its sensors and mapping instead of the recorded ones, and by its section replay; the "
         "other sections are not read",
@@ -202,8 +207,8 @@ def _add_import(commands: Any) -> None:
     import_ = commands.add_parser("import", help="a foreign log to a session")
     kinds = import_.add_subparsers(dest="kind", metavar="KIND", required=True)
     carmen = _add(kinds, "carmen", "a CARMEN log, plain or .gz")
-    carmen.add_argument("log", type=Path, metavar="LOG")
-    carmen.add_argument("out", type=Path, metavar="OUT.mcap")
+    carmen.add_argument("log", type=local_path, metavar="LOG")
+    carmen.add_argument("out", type=local_path, metavar="OUT.mcap")
     carmen.add_argument(
         "--odometry",
         choices=("auto", "logged", "none"),
@@ -212,25 +217,28 @@ def _add_import(commands: Any) -> None:
     )
 
     rosbag = _add(kinds, "rosbag", "a bag of ROS 1 or ROS 2")
-    rosbag.add_argument("log", type=Path, metavar="BAG", help=RECORDINGS)
-    rosbag.add_argument("out", type=Path, metavar="OUT.mcap")
+    rosbag.add_argument("log", type=local_path, metavar="BAG", help=RECORDINGS)
+    rosbag.add_argument("out", type=local_path, metavar="OUT.mcap")
     add_choice(rosbag)
 
 
 def _add_export(commands: Any) -> None:
     export = _add(commands, "export", "a session, a map or a replay's folder to a file other programs read")
-    export.add_argument("input", type=Path, metavar="INPUT")
+    export.add_argument("input", type=local_path, metavar="INPUT")
     export.add_argument("--format", choices=FORMATS, required=True)
-    export.add_argument("--out", type=Path, required=True, metavar="PATH")
+    export.add_argument("--out", type=local_path, required=True, metavar="PATH")
 
 
 def _add_report(commands: Any) -> None:
     report = _add(
         commands, "report", "a replay's folder as one HTML page: map, path, states, loops, sensors, warnings"
     )
-    report.add_argument("result", type=Path, metavar="RESULT")
+    report.add_argument("result", type=local_path, metavar="RESULT")
     report.add_argument(
-        "--out", type=Path, metavar="FILE.html", help="write it here (default: report.html in the folder)"
+        "--out",
+        type=local_path,
+        metavar="FILE.html",
+        help="write it here (default: report.html in the folder)",
     )
 
 
@@ -238,13 +246,16 @@ def _add_calibrate(commands: Any) -> None:
     calibrate = _add(
         commands, "calibrate", "mountings, wheel scale, time offsets and latencies of a recorded drive"
     )
-    calibrate.add_argument("files", type=Path, nargs="+", metavar="FILE", help=RECORDINGS)
+    calibrate.add_argument("files", type=local_path, nargs="+", metavar="FILE", help=RECORDINGS)
     calibrate.add_argument(
-        "--config", type=Path, metavar="CONFIG.yaml", help="the config to mend (default: the recorded one)"
+        "--config",
+        type=local_path,
+        metavar="CONFIG.yaml",
+        help="the config to mend (default: the recorded one)",
     )
     calibrate.add_argument(
         "--out",
-        type=Path,
+        type=local_path,
         metavar="CALIBRATED.yaml",
         help="write the mended config, or the patch without one",
     )
@@ -260,7 +271,7 @@ def _add_tune(commands: Any) -> None:
     by = tune.add_mutually_exclusive_group(required=True)
     by.add_argument(
         "--truth",
-        type=Path,
+        type=local_path,
         nargs="+",
         metavar="TRUTH",
         help="a TUM or .relations file for each session, or a folder of files named like them",
@@ -278,7 +289,10 @@ def _add_tune(commands: Any) -> None:
     )
     _add_profile(tune, "tune this profile instead of the recorded one")
     tune.add_argument(
-        "--config", type=Path, metavar="CONFIG.yaml", help="the present settings (default: the recorded ones)"
+        "--config",
+        type=local_path,
+        metavar="CONFIG.yaml",
+        help="the present settings (default: the recorded ones)",
     )
     tune.add_argument("--trials", type=positive_int, default=30, metavar="N", help="default: 30")
     tune.add_argument("--seed", type=positive_int, default=1, metavar="N", help="of the search (default: 1)")
@@ -308,7 +322,7 @@ def _add_site(commands: Any) -> None:
     )
     build.add_argument(
         "--out",
-        type=Path,
+        type=local_path,
         required=True,
         metavar="MAP",
         help="folder of the site's map; what is there already is kept, and the sessions are added",
@@ -320,7 +334,9 @@ def _add_site(commands: Any) -> None:
         metavar="NAME",
         help="a session that is of this place although so much has changed in it; one each time",
     )
-    build.add_argument("--config", type=Path, metavar="CONFIG.yaml", help="map recordings with it instead")
+    build.add_argument(
+        "--config", type=local_path, metavar="CONFIG.yaml", help="map recordings with it instead"
+    )
     _add_engine(build)
     add_choice(build)
 
@@ -331,7 +347,7 @@ def _add_view(commands: Any) -> None:
     )
     view.add_argument(
         "source",
-        type=Path,
+        type=local_path,
         nargs="+",
         metavar="RESULT|MAP|FILE",
         help="the folder of a result or a map, the .yaml of a ROS map, or the files of one recording: "
@@ -340,15 +356,18 @@ def _add_view(commands: Any) -> None:
     _add_listen(view)
     view.add_argument("--rerun", action="store_true", help="in rerun's viewer instead (extra rerun)")
     view.add_argument(
-        "--save", type=Path, metavar="FILE.rrd", help="with --rerun: write a recording for it, open nothing"
+        "--save",
+        type=local_path,
+        metavar="FILE.rrd",
+        help="with --rerun: write a recording for it, open nothing",
     )
 
 
 def _add_score(commands: Any) -> None:
     score = _add(commands, "score", "a trajectory against the truth: ATE, RPE, closure, relations")
-    score.add_argument("estimate", type=Path, metavar="EST.tum")
+    score.add_argument("estimate", type=local_path, metavar="EST.tum")
     score.add_argument(
-        "truth", type=Path, metavar="TRUTH", help="a TUM file, or .relations (Kuemmerle et al. 2009)"
+        "truth", type=local_path, metavar="TRUTH", help="a TUM file, or .relations (Kuemmerle et al. 2009)"
     )
     score.add_argument(
         "--shift-s", type=float, default=0.0, metavar="S", help="add S to the estimate's stamps"
@@ -364,7 +383,7 @@ def _add_score(commands: Any) -> None:
 def _add_check_and_doctor(commands: Any) -> None:
     check = _add(commands, "check", "validate a config; every fault with its place and what to write instead")
     given = check.add_mutually_exclusive_group(required=True)
-    given.add_argument("config", type=Path, nargs="?", metavar="CONFIG.yaml")
+    given.add_argument("config", type=local_path, nargs="?", metavar="CONFIG.yaml")
     given.add_argument(
         "--schema", action="store_true", help="print the JSON schema of a config instead, for editors"
     )
@@ -372,7 +391,7 @@ def _add_check_and_doctor(commands: Any) -> None:
     doctor = _add(
         commands, "doctor", "look at ports, rights, devices, clocks, disk, cache; what is wrong, what to do"
     )
-    doctor.add_argument("config", type=Path, nargs="?", metavar="CONFIG.yaml")
+    doctor.add_argument("config", type=local_path, nargs="?", metavar="CONFIG.yaml")
     doctor.add_argument(
         "--seconds",
         type=positive,
@@ -383,7 +402,7 @@ def _add_check_and_doctor(commands: Any) -> None:
 
 def _add_recover(commands: Any) -> None:
     recover = _add(commands, "recover", "a session whose writer died, to a valid MCAP")
-    recover.add_argument("file", type=Path, metavar="FILE.mcap.active")
+    recover.add_argument("file", type=local_path, metavar="FILE.mcap.active")
 
 
 def _add_init(commands: Any) -> None:
@@ -396,12 +415,12 @@ def _add_init(commands: Any) -> None:
         "of its sensor in front; without any: the serial ports of this machine",
     )
     init.add_argument(
-        "--out", type=Path, default=Path("vehicle.yaml"), metavar="FILE", help="default: vehicle.yaml"
+        "--out", type=local_path, default=Path("vehicle.yaml"), metavar="FILE", help="default: vehicle.yaml"
     )
     init.add_argument("--vehicle", default="veh1", metavar="NAME", help="default: veh1")
     init.add_argument(
         "--data",
-        type=Path,
+        type=local_path,
         default=Path("/var/lib/corridor"),
         metavar="DIR",
         help="sessions and maps go below it (default: /var/lib/corridor)",
@@ -414,7 +433,11 @@ def _add_init(commands: Any) -> None:
 def _add_install_unit(commands: Any) -> None:
     install = _add(commands, "install-unit", "systemd unit, sysusers, tmpfiles, udev rules, example config")
     install.add_argument(
-        "--root", type=Path, default=Path("/"), metavar="DIR", help="of the system to set up (default: /)"
+        "--root",
+        type=local_path,
+        default=Path("/"),
+        metavar="DIR",
+        help="of the system to set up (default: /)",
     )
     install.add_argument("--program", metavar="PATH", help="that the unit starts (default: this command)")
     install.add_argument("--force", action="store_true", help="replace files that were changed there")

@@ -7,10 +7,9 @@ import sys
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from service.cli.argument_types import map_and_version, positive
+from service.cli.argument_types import local_path, map_and_version, positive
 from service.cli.console import print_result, progress
 from service.errors import CorridorError, StorageError, words_of
 from service.log_format import printable
@@ -32,7 +31,7 @@ def add_fleet(commands: Any, add: Add) -> None:
     )
     router = add(works, "router", "the router of the site, until SIGTERM or Ctrl-C")
     router.add_argument(
-        "config", type=Path, metavar="ROUTER.yaml", help="its section publishing: listen, security"
+        "config", type=local_path, metavar="ROUTER.yaml", help="its section publishing: listen, security"
     )
     router.add_argument(
         "--zenohd", action="store_true", help="print the config for a zenohd instead, rules included"
@@ -45,7 +44,10 @@ def add_fleet(commands: Any, add: Add) -> None:
     watch.add_argument("--seconds", type=positive, metavar="S", help="end after S seconds")
     page = add(works, "page", "all vehicles on one map, on the operator's page, until Ctrl-C")
     page.add_argument(
-        "--map", type=Path, metavar="MAP", help="the stored map of the site (default: the vehicles' tiles)"
+        "--map",
+        type=local_path,
+        metavar="MAP",
+        help="the stored map of the site (default: the vehicles' tiles)",
     )
     page.add_argument(
         "--listen", default="127.0.0.1:8080", metavar="HOST:PORT", help="default: 127.0.0.1:8080"
@@ -55,7 +57,7 @@ def add_fleet(commands: Any, add: Add) -> None:
     )
     pull.add_argument("vehicles", nargs="*", metavar="VEHICLE", help="default: all")
     pull.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="a folder for each vehicle in it"
+        "--out", type=local_path, required=True, metavar="DIR", help="a folder for each vehicle in it"
     )
     pull.add_argument("--limit-mb-s", type=positive, metavar="MB", help="of each vehicle's link, at most")
     push = add(works, "push", "bring a stored map to vehicles; all begin in it, or none stays in it")
@@ -65,7 +67,7 @@ def add_fleet(commands: Any, add: Add) -> None:
     for one in (status, watch, page, pull, push):
         one.add_argument(
             "--site",
-            type=Path,
+            type=local_path,
             metavar="SITE.yaml",
             help="its section publishing: connect names the router, security the certificate of who asks "
             "(default: tcp/127.0.0.1:7447)",

@@ -2,10 +2,9 @@
 
 import argparse
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-from service.cli.argument_types import map_and_version
+from service.cli.argument_types import local_path, map_and_version
 
 Add = Callable[[Any, str, str], argparse.ArgumentParser]
 
@@ -20,16 +19,16 @@ def add_maps(commands: Any, add: Add) -> None:
         ("verify", "read every version against its checksums"),
         ("log", "the versions of a stored map: when, who, what"),
     ):
-        add(works, name, what).add_argument("map", type=Path, metavar="MAP")
+        add(works, name, what).add_argument("map", type=local_path, metavar="MAP")
     loops = add(works, "loops", "the loops of a stored map, accepted and refused, with place and evidence")
     loops.add_argument("map", type=map_and_version, metavar="MAP[@VERSION]")
     diff = add(works, "diff", "what changed between two versions of a map, or two maps in one frame")
     for name in ("before", "after"):
         diff.add_argument(name, type=map_and_version, metavar=f"{name.upper()}[@VERSION]")
-    diff.add_argument("--out", type=Path, metavar="FILE.png", help="a picture of it")
+    diff.add_argument("--out", type=local_path, metavar="FILE.png", help="a picture of it")
     merge = add(works, "merge", "several maps to one, in the frame of the first")
-    merge.add_argument("maps", type=Path, nargs="+", metavar="MAP")
-    merge.add_argument("--out", type=Path, required=True, metavar="C", help="folder of the new map")
+    merge.add_argument("maps", type=local_path, nargs="+", metavar="MAP")
+    merge.add_argument("--out", type=local_path, required=True, metavar="C", help="folder of the new map")
     merge.add_argument(
         "--pair",
         type=float,
@@ -39,8 +38,8 @@ def add_maps(commands: Any, add: Add) -> None:
         "overlaps to be found",
     )
     remap = add(works, "remap", "drive an area of a map again: what the recording saw of it takes its place")
-    remap.add_argument("map", type=Path, metavar="MAP")
-    remap.add_argument("recordings", type=Path, nargs="+", metavar="FILE.mcap", help="of one drive")
+    remap.add_argument("map", type=local_path, metavar="MAP")
+    remap.add_argument("recordings", type=local_path, nargs="+", metavar="FILE.mcap", help="of one drive")
     remap.add_argument(
         "--area",
         type=float,
@@ -97,7 +96,7 @@ def _add_changes(change: Any) -> None:
 
 
 def _add_edit(edit: argparse.ArgumentParser) -> None:
-    edit.add_argument("map", type=Path, metavar="MAP")
+    edit.add_argument("map", type=local_path, metavar="MAP")
     _add_changes(edit.add_mutually_exclusive_group(required=True))
     becomes = edit.add_mutually_exclusive_group()
     becomes.add_argument("--free", action="store_true", help="with --erase: all of the area is free then")

@@ -4,9 +4,9 @@ import argparse
 import re
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from service.cli.argument_types import local_path
 from service.cli.console import print_report, print_result
 from service.errors import UsageError
 
@@ -25,7 +25,9 @@ def add_security(commands: Any, add: Add) -> None:
         dest="work", metavar="WORK", required=True
     )
     init = add(works, "init", "make and renew the certificates of a site, by its own authority")
-    init.add_argument("folder", type=Path, metavar="DIR", help="of the site's files, kept off the vehicles")
+    init.add_argument(
+        "folder", type=local_path, metavar="DIR", help="of the site's files, kept off the vehicles"
+    )
     for role, what in (
         ("vehicle", "a vehicle, and its hosts besides NAME, NAME.local and localhost"),
         ("operator", "who may command, and where it is a router the hosts of that"),
@@ -53,7 +55,7 @@ def add_security(commands: Any, add: Add) -> None:
     for one in (give, revoke, listed):
         one.add_argument(
             "--token-file",
-            type=Path,
+            type=local_path,
             metavar="PATH",
             help="web.token_file of the service's config (default: web.token in $STATE_DIRECTORY, else in "
             "~/.local/state/corridor); under systemd /var/lib/corridor/web.token",

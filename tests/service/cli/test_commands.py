@@ -25,6 +25,10 @@ sensors: {front: {type: sick_lms100, host: a}}
 recording: {directory: s}
 map: {directory: m}
 """
+URL = (
+    "is a URL; expected a path on this machine. Copy the file: only replay, tune and site build read "
+    "recordings by URLs, and only replay --out may be one"
+)
 CORRIDOR = Path(sys.executable).parent / "corridor"
 
 
@@ -92,6 +96,9 @@ def test_bash_completes_commands_options_names_and_files(tmp_path: Path):
         (["demo", "--seconds", "1e9"], "argument --seconds: 1e9 is not above 0 and below 1e+09"),
         (["demo", "--port", "http"], "argument --port: 'http' is no whole number"),
         (["replay", "a.mcap", "--rate", "fast"], "argument --rate: 'fast' is no number; give one, or max"),
+        (["import", "rosbag", "a.bag", "s3://site/a.mcap"], URL),
+        (["calibrate", "s3://site/a.mcap"], URL),
+        (["replay", "a.mcap", "--map", "s3://site/map@3"], URL),
         (["replay", ""], "an argument is empty; is a variable of the shell not set?"),
         (["replay", "a.mcap", "--out="], "an argument is empty; is a variable of the shell not set?"),
     ],
@@ -103,7 +110,7 @@ def test_wrong_usage_exits_with_64_in_plain_words(
     printed = capsys.readouterr()
     assert printed.out == ""
     assert "usage: corridor" in printed.err
-    assert printed.err.endswith(f": {words}\n" if words else "\n")
+    assert printed.err.endswith(f" {words}\n" if words else "\n")
 
 
 def test_the_command_itself_ends_with_this_code_and_without_a_traceback():
