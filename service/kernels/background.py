@@ -8,7 +8,7 @@ import numpy as np
 from service.kernels.arrays import Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.contour_blur import BLURRED, HIT, PASSED, LikelihoodLevel, ScanCells, touch_cell
-from service.kernels.rays import begin_ray
+from service.kernels.rays import begin_ray, next_cell
 from service.kernels.surfels import TILE_BITS, TILE_MASK
 from service.kernels.tiles import NO_TILE, find_tile
 
@@ -70,12 +70,9 @@ def mark_passed(xy_base, sensor_xy_m, pose, level, protect_count, free_range_m, 
                 q = column & TILE_MASK
                 if likelihood[slot, r, q] > 0.0 and level.seen[slot, r, q] <= protect_count:
                     touch_cell(level, row, column, cells)
-            if next_column < next_row:
-                column += step_column
-                next_column += per_column
-            else:
-                row += step_row
-                next_row += per_row
+            column, row, next_column, next_row = next_cell(
+                column, row, step_column, step_row, next_column, next_row, per_column, per_row
+            )
 
 
 @inner_kernel

@@ -14,7 +14,7 @@ from service.compile.lazy import njit
 from service.kernels.arrays import Bool_2D, Float32_4D, Float64_1D, Float64_2D, Int32_3D, UInt8_2D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.occupancy import OccupancyGrid, evidence_at
-from service.kernels.rays import BEHIND_M, begin_ray
+from service.kernels.rays import BEHIND_M, begin_ray, next_cell
 from service.kernels.surfels import (
     COUNT,
     MEAN_X,
@@ -116,11 +116,9 @@ def count_beams_through(ends, sensor, walls, weight, through_count):
                         break  # sides are filled in order
                     if passes_through(walls.surfels, slot, r, q, side, u, v, du, dv):
                         through_count[slot, r, q, side] += np.float32(weight)
-            is_column = next_column < next_row
-            column += step_column if is_column else 0
-            row += 0 if is_column else step_row
-            next_column += per_column if is_column else 0.0
-            next_row += 0.0 if is_column else per_row
+            column, row, next_column, next_row = next_cell(
+                column, row, step_column, step_row, next_column, next_row, per_column, per_row
+            )
 
 
 def cells_with_walls(walls: SurfelGrid) -> npt.NDArray[np.bool_]:
@@ -199,11 +197,9 @@ def log_removed_probability(u, v, du, dv, known, number):
                 if removed_share < 1.0:
                     known.visited[slot, r, q] = number
                     total += math.log(max(removed_share, MIN_REMOVED_PROBABILITY))
-        is_column = next_column < next_row
-        column += step_column if is_column else 0
-        row += 0 if is_column else step_row
-        next_column += per_column if is_column else 0.0
-        next_row += 0.0 if is_column else per_row
+        column, row, next_column, next_row = next_cell(
+            column, row, step_column, step_row, next_column, next_row, per_column, per_row
+        )
     return total
 
 

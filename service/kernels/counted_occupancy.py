@@ -10,7 +10,7 @@ import numpy as np
 
 from service.kernels.arrays import Float32_3D, Float64_1D, Float64_2D, UInt16_3D
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.rays import begin_ray
+from service.kernels.rays import begin_ray, next_cell
 from service.kernels.surfels import TILE_BITS, TILE_MASK
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
@@ -99,12 +99,9 @@ def count_beam(u, v, du, dv, grid, hits, passes, field, touched, weights, scan_n
             passes[slot, r, q] = passed
             if hits[slot, r, q] > 0:
                 field[slot, r, q] = occupied_probability(hits[slot, r, q], passed, weights)
-        if next_column < next_row:
-            column += step_column
-            next_column += per_column
-        else:
-            row += step_row
-            next_row += per_row
+        column, row, next_column, next_row = next_cell(
+            column, row, step_column, step_row, next_column, next_row, per_column, per_row
+        )
 
 
 @kernel(Float64_2D, Float64_1D, Float64_1D, CountedGrid, CountWeights, float, int, np.uint16)

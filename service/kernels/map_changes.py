@@ -7,7 +7,7 @@ import numpy as np
 
 from service.kernels.arrays import Float64_1D, Float64_2D, Int32_2D, UInt8_2D
 from service.kernels.compiled import inner_kernel, seldom_kernel
-from service.kernels.rays import BEHIND_M, begin_ray
+from service.kernels.rays import BEHIND_M, begin_ray, next_cell
 
 CELL_UNKNOWN, CELL_FREE, CELL_WALL = 0, 1, 2
 MIN_SINE = 0.4  # of the angle between beam and wall: beams along a wall are no evidence against it
@@ -125,11 +125,9 @@ def _weigh_path(u, v, du, dv, far_m, votes, moment):
                 elif stored == CELL_WALL and _crosses(row, column, du, dv, votes):
                     votes.passed[row, column] = moment.scan
                     _contradict(row, column, votes, moment)
-        is_column = next_column < next_row
-        column += step_column if is_column else 0
-        row += 0 if is_column else step_row
-        next_column += per_column if is_column else 0.0
-        next_row += 0.0 if is_column else per_row
+        column, row, next_column, next_row = next_cell(
+            column, row, step_column, step_row, next_column, next_row, per_column, per_row
+        )
 
 
 @inner_kernel

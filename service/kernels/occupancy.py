@@ -7,7 +7,7 @@ import numpy as np
 
 from service.kernels.arrays import Float64_1D, Float64_2D, Int8_2D, Int8_3D, Int64_1D, UInt8_1D, UInt16_3D
 from service.kernels.compiled import inner_kernel, kernel, seldom_kernel
-from service.kernels.rays import begin_ray
+from service.kernels.rays import begin_ray, next_cell
 from service.kernels.tiles import NO_TILE, TileIndex, find_tile, take_slot
 
 GRID_TILE_BITS = 6
@@ -137,12 +137,9 @@ def trace_scan(xy_base, sensor_xy_m, pose, grid, evidence, free_range_m, scan_nu
                 if new != old:
                     cells[k] = np.int8(new)
                     changed[slot] = np.uint8(1)
-            # Without branches: the next border cannot be predicted.
-            is_column = next_column < next_row
-            column += step_column if is_column else 0
-            row += 0 if is_column else step_row
-            next_column += per_column if is_column else 0.0
-            next_row += 0.0 if is_column else per_row
+            column, row, next_column, next_row = next_cell(
+                column, row, step_column, step_row, next_column, next_row, per_column, per_row
+            )
 
 
 @inner_kernel

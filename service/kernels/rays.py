@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from service.kernels.compiled import inner_kernel
+from service.kernels.compiled import inlined_kernel, inner_kernel
 
 BEHIND_M = 0.3  # what a beam passes lies at least this far before its end
 
@@ -18,8 +18,7 @@ def begin_ray(u, v, du, dv):
     Returns (column, row, step_column, step_row of int; next_column, next_row, per_column, per_row of float;
     count of int). next_* is the ray parameter, 0 at the start and 1 at the end, at the next vertical and
     horizontal border, per_* its increment from one such border to the next. The end is reached after count
-    steps: if next_column < next_row, column += step_column and next_column += per_column, else the same for
-    rows.
+    steps of next_cell.
     Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing, 1987.
     """
     column = math.floor(u)
@@ -32,3 +31,18 @@ def begin_ray(u, v, du, dv):
     step_column = 1 if du > 0.0 else -1
     step_row = 1 if dv > 0.0 else -1
     return column, row, step_column, step_row, next_column, next_row, per_column, per_row, count
+
+
+@inlined_kernel
+def next_cell(column, row, step_column, step_row, next_column, next_row, per_column, per_row):
+    """One step of the traversal. Returns (column, row, next_column, next_row).
+
+    Without branches: which border comes first cannot be predicted.
+    """
+    is_column = next_column < next_row
+    return (
+        column + (step_column if is_column else 0),
+        row + (0 if is_column else step_row),
+        next_column + (per_column if is_column else 0.0),
+        next_row + (0.0 if is_column else per_row),
+    )

@@ -11,7 +11,7 @@ import numpy as np
 from service.compile.lazy import njit
 from service.kernels.arrays import Float64_1D, Float64_2D, Int8_3D, UInt16_3D, UInt16_4D
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.rays import begin_ray
+from service.kernels.rays import begin_ray, next_cell
 from service.kernels.surfels import (
     COUNT,
     MEAN_X,
@@ -226,12 +226,9 @@ def remove_by_ray_cast(xy_base, sensor_xy_m, pose, grid, fine_grid, observations
                             since[slot, r, q, 0] = ENTERED_FREE
                             surfels[slot, r, q] = np.float32(0.0)
                             clear_fine_cells(fine_grid, row, column)
-            if next_column < next_row:
-                column += step_column
-                next_column += per_column
-            else:
-                row += step_row
-                next_row += per_row
+            column, row, next_column, next_row = next_cell(
+                column, row, step_column, step_row, next_column, next_row, per_column, per_row
+            )
 
 
 @inner_kernel

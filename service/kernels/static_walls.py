@@ -6,7 +6,7 @@ import numpy as np
 
 from service.kernels.arrays import Bool_1D, Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
-from service.kernels.rays import begin_ray
+from service.kernels.rays import begin_ray, next_cell
 from service.kernels.static_score import (
     ENTERED_FREE,
     Observations,
@@ -75,12 +75,9 @@ def passes_wall_since(x, y, dx, dy, grid, observations, latest, behind_m):
                 grid.surfels, slot, row & TILE_MASK, column & TILE_MASK, 0.5 * cell_m, u, v, dx, dy, behind_m
             ):
                 return True
-        if next_column < next_row:
-            column += step_column
-            next_column += per_column
-        else:
-            row += step_row
-            next_row += per_row
+        column, row, next_column, next_row = next_cell(
+            column, row, step_column, step_row, next_column, next_row, per_column, per_row
+        )
     return False
 
 
