@@ -38,7 +38,8 @@ MIN_LOG_ODDS = math.log(1000.0)  # that it is another place
 _ROW = 1 << 32  # of the key of a cell: row * _ROW + column
 Tile = tuple[int, int]  # row and column
 Tiles = dict[Tile, npt.NDArray[np.int8]]  # evidence
-_UNSEEN = np.zeros((GRID_TILE_CELLS, GRID_TILE_CELLS), np.int8)
+_UNSEEN = np.zeros((1, GRID_TILE_CELLS, GRID_TILE_CELLS), np.int8)
+_AROUND = [*product((-1, 0, 1), repeat=2)]  # of a tile: it and its neighbours
 
 
 def seen_by(graph: SavedGraph, cell_m: float) -> RenderedMap:
@@ -108,14 +109,20 @@ class Layers:
     def __init__(self, cell_m: float) -> None:
         self.changes: list[Change] = []
         self._place_cells = round(PLACE_M / cell_m)
-        self._evidence: Tiles = {}  # of the newest session that is sure
-        self._sessions: dict[Tile, npt.NDArray[np.int16]] = {}  # (2, W, W) the first and last to see it so
+        self._number: dict[Tile, int] = {}  # of each tile in the arrays, which have room for more
+        self._evidence = _UNSEEN[:0]  # of the newest session that is sure
+        self._first, self._last = np.zeros((2, *self._evidence.shape), np.int16)  # sessions that saw it so
 
     def compare(self, seen: RenderedMap) -> Comparison:
-        now = _tiles(seen)
-        around = {(row + i, column + j) for row, column in now for i in (-1, 0, 1) for j in (-1, 0, 1)}
-        stood = _Grid({tile: self._evidence[tile] for tile in sorted(around) if tile in self._evidence})
-        stands = _Grid(now)
+        if not len(seen.evidence):
+            return Comparison(0, 0, 0, [], [])
+        tiles = np.column_stack((seen.tile_row, seen.tile_column))
+        around = {(row + i, column + j) for row, column in tiles.tolist() for i, j in _AROUND}
+        there = sorted(around & self._number.keys())
+        number = [self._number[tile] for tile in there]
+        ends = tiles.min(axis=0), tiles.max(axis=0)
+        stood = _Grid(np.array(there, np.int64).reshape(-1, 2), self._evidence[number], *ends)
+        stands = _Grid(tiles, seen.evidence, *ends)
         gone, new = _changed(stood, stands), _changed(stands, stood)
         common = self._places([stood.walls[stands.is_near(stood.walls, OCCUPIED)]], MIN_CELLS_OF_PLACE)
         gone_at, new_at = self._places(gone, MIN_CELLS), self._places(new, MIN_CELLS)
@@ -125,17 +132,28 @@ class Layers:
         """compared   of this session, now"""
         for is_new, groups in ((False, compared.gone), (True, compared.new)):
             for cells in groups:
-                spans = np.array([self._sessions[tile][:, row, column] for tile, row, column in _at(cells)])
-                span = int(spans[:, 0].min()), int(spans[:, 1].max())
+                at = tuple(np.array([(self._number[tile], *in_tile) for tile, *in_tile in _at(cells)]).T)
+                span = int(self._first[at].min()), int(self._last[at].max())
                 self.changes.append(Change(cells, is_new, span, session))
-        for tile, evidence in _tiles(seen).items():
-            kept = self._evidence.setdefault(tile, np.zeros_like(evidence))
-            first, last = self._sessions.setdefault(tile, np.full((2, *evidence.shape), session, np.int16))
-            is_sure = (evidence <= FREE) | (evidence >= OCCUPIED)
-            first[is_sure & (np.sign(kept) != np.sign(evidence))] = session
-            last[is_sure] = session
-            is_taken = is_sure | (kept == 0)
-            kept[is_taken] = evidence[is_taken]
+        number, evidence = self._numbers_of(seen, session), seen.evidence
+        kept, first, last = (one[number] for one in (self._evidence, self._first, self._last))
+        is_sure = (evidence <= FREE) | (evidence >= OCCUPIED)
+        np.copyto(first, session, where=is_sure & (np.sign(kept) != np.sign(evidence)))
+        np.copyto(last, session, where=is_sure)
+        np.copyto(kept, evidence, where=is_sure | (kept == 0))
+        self._evidence[number], self._first[number], self._last[number] = kept, first, last
+
+    def _numbers_of(self, seen: RenderedMap, session: int) -> list[int]:
+        """Numbers of its tiles; of new ones the state is of this session."""
+        count, numbers = len(self._number), self._number
+        tiles = zip(seen.tile_row.tolist(), seen.tile_column.tolist(), strict=True)
+        number = [numbers.setdefault(tile, len(numbers)) for tile in tiles]
+        if len(numbers) > len(self._evidence):
+            more = np.zeros((len(numbers), *_UNSEEN.shape[1:]), np.int16)
+            self._evidence = np.concatenate((self._evidence, more.astype(np.int8)))
+            self._first, self._last = (np.concatenate((one, more)) for one in (self._first, self._last))
+        self._first[count:] = self._last[count:] = session
+        return number
 
     def newest(self, shown: RenderedMap) -> RenderedMap:
         """A map rendered from all sessions with the newest state in the cells that changed: older sessions
@@ -146,7 +164,7 @@ class Layers:
         for change in self.changes:
             for tile, row, column in _at(change.cells):
                 if tile in by_tile:
-                    by_tile[tile][row, column] = self._evidence[tile][row, column]
+                    by_tile[tile][row, column] = self._evidence[self._number[tile], row, column]
         return replace(shown, evidence=evidence)
 
     def _places(self, groups: Sequence[Cells], least: int) -> set[int]:
@@ -158,37 +176,54 @@ class Layers:
 
 
 class _Grid:
-    """Evidence in tiles, looked up by cells.
+    """Evidence in tiles, looked up by cells from a tile before `low` to a tile behind `high`, and NEAR_CELLS
+    beside them.
 
     walls   (N, 2) the occupied cells
     """
 
-    def __init__(self, tiles: Tiles) -> None:
-        tiles = tiles or {(0, 0): _UNSEEN}
-        tile_at = np.array([*tiles], np.int64)
-        self._first = tile_at.min(axis=0) - 1
-        self._number = np.zeros(tile_at.max(axis=0) - self._first + 2, np.int64)  # 0: no tile
-        self._number[tuple((tile_at - self._first).T)] = np.arange(1, len(tile_at) + 1)
-        self._evidence = np.stack([_UNSEEN, *tiles.values()])
+    def __init__(
+        self,
+        tiles: Cells,
+        evidence: npt.NDArray[np.int8],
+        low: npt.NDArray[np.int64],
+        high: npt.NDArray[np.int64],
+    ) -> None:
+        """tiles: (T, 2) row and column of each"""
+        self._first = low - 2
+        self._number = np.zeros(high + 3 - self._first, np.int64)  # 0: no tile
+        self._rows, self._columns = (tiles - self._first).T
+        self._number[self._rows, self._columns] = np.arange(1, len(tiles) + 1)
+        self._evidence = np.concatenate((_UNSEEN, evidence))
         tile, in_tile = np.divmod(np.flatnonzero(self._evidence >= OCCUPIED), GRID_TILE_CELLS**2)
         row_column = np.column_stack(np.divmod(in_tile, GRID_TILE_CELLS))
-        self.walls: Cells = (tile_at[tile - 1] << GRID_TILE_BITS) + row_column
+        self.walls: Cells = (tiles[tile - 1] << GRID_TILE_BITS) + row_column
 
     def at(self, cells: Cells) -> npt.NDArray[np.int8]:
         """(N,) evidence of cells (N, 2); 0 where nothing was seen."""
-        row, column = ((cells >> GRID_TILE_BITS) - self._first).clip(0, np.array(self._number.shape) - 1).T
-        evidence: npt.NDArray[np.int8] = self._evidence[
-            self._number[row, column], *(cells & GRID_TILE_MASK).T
-        ]
+        number = self._number[tuple(((cells >> GRID_TILE_BITS) - self._first).T)]
+        row, column = (cells & GRID_TILE_MASK).T
+        at = (number * GRID_TILE_CELLS + row) * GRID_TILE_CELLS + column
+        evidence: npt.NDArray[np.int8] = self._evidence.take(at)
         return evidence
 
     def is_near(self, cells: Cells, least: int) -> npt.NDArray[np.bool_]:
         """(N,) of cells (N, 2), whether there is such evidence within NEAR_CELLS."""
-        far = np.arange(len(cells))
-        for step in _steps(NEAR_CELLS):
-            far = far[self.at(cells[far] + step) < least]
-        near = np.ones(len(cells), np.bool_)
-        near[far] = False
+        tile_rows, tile_columns = self._number.shape
+        bits = np.zeros((tile_rows, GRID_TILE_CELLS, tile_columns), np.uint64)  # of the 64 cells of a row
+        is_there = np.packbits(self._evidence[1:] >= least, axis=-1, bitorder="little").view("<u8")
+        bits[self._rows, :, self._columns] = is_there[:, :, 0]
+        bits = bits.reshape(-1, tile_columns)
+        for _ in range(NEAR_CELLS):
+            wide = bits | bits << 1 | bits >> 1
+            wide[:, 1:] |= bits[:, :-1] >> 63
+            wide[:, :-1] |= bits[:, 1:] << 63
+            bits = wide.copy()
+            bits[1:] |= wide[:-1]
+            bits[:-1] |= wide[1:]
+        row, column = (cells - (self._first << GRID_TILE_BITS)).T
+        in_tile = (column & GRID_TILE_MASK).astype(np.uint64)
+        near: npt.NDArray[np.bool_] = (bits[row, column >> GRID_TILE_BITS] >> in_tile & 1).astype(np.bool_)
         return near
 
 

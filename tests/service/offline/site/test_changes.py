@@ -13,11 +13,13 @@ from service.offline.site.changes import (
     OCCUPIED,
     Change,
     Layers,
+    _Grid,
     log_odds_elsewhere,
 )
 
 CELL_M = 0.05
 SIDE = 4 * GRID_TILE_CELLS  # cells, of four by four tiles around the origin
+NO_TILES = np.zeros(0, np.int64)
 CRATE = (slice(60, 70), slice(122, 134))  # rows and columns, across the edge of two tiles
 
 
@@ -51,6 +53,25 @@ def test_a_crate_that_was_put_down_and_taken_away_is_two_changes_with_their_sess
     rows, columns = layers.changes[0].cells.T
     assert (rows.min(), rows.max()) == (60 - SIDE // 2, 69 - SIDE // 2)
     assert (columns.min(), columns.max()) == (122 - SIDE // 2, 133 - SIDE // 2)
+
+
+def test_evidence_is_near_within_two_cells_also_across_tiles_and_nowhere_else():
+    random = np.random.default_rng(3)
+    tiles = np.array([(-3, 5), (-3, 6), (-2, 5), (-1, 7)])
+    evidence = np.where(random.random((4, GRID_TILE_CELLS, GRID_TILE_CELLS)) < 0.02, OCCUPIED, FREE)
+    grid = _Grid(tiles, evidence.astype(np.int8), tiles.min(axis=0), tiles.max(axis=0))
+    low, high = tiles.min(axis=0) - 1, tiles.max(axis=0) + 2
+    cells = random.integers(low * GRID_TILE_CELLS, high * GRID_TILE_CELLS, (4000, 2))
+    corners = tiles[:, None] * GRID_TILE_CELLS + [(0, -1), (63, 64), (-2, 0), (-3, 0), (65, 66)]
+    cells = np.concatenate((cells, corners.reshape(-1, 2)))
+    away = np.abs(cells[:, None] - grid.walls).max(axis=2).min(axis=1)
+    np.testing.assert_array_equal(grid.is_near(cells, OCCUPIED), away <= 2)
+
+
+def test_a_session_that_saw_nothing_changes_nothing():
+    nothing = RenderedMap(NO_TILES, NO_TILES, np.zeros((0, GRID_TILE_CELLS, GRID_TILE_CELLS), np.int8))
+    layers = layers_of(nothing, session(), nothing, session(CRATE))
+    assert [in_short(change) for change in layers.changes] == [(True, (1, 1), 3)]
 
 
 def test_a_session_that_did_not_look_there_changes_nothing():
