@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -123,15 +124,10 @@ class KeyframeList:
         self._rows["segment"] = -1 - np.unique(stored.segment, return_inverse=True)[1]
         self._rows["motion_covariance"] = np.nan
         self.stamps_ns = stored.stamp_ns.tolist()
-        ends = np.cumsum(stored.point_count)[:-1]
+        ends = [0, *np.cumsum(stored.point_count).tolist()]
         self.thinned = [
-            ThinnedScan(xy, normals, (float(sensor[0]), float(sensor[1])))
-            for xy, normals, sensor in zip(
-                np.split(stored.xy_base, ends),
-                np.split(stored.normals, ends),
-                stored.sensor_xy_m,
-                strict=True,
-            )
+            ThinnedScan(stored.xy_base[begin:end], stored.normals[begin:end], (x_m, y_m))
+            for (begin, end), (x_m, y_m) in zip(pairwise(ends), stored.sensor_xy_m.tolist(), strict=True)
         ]
 
     @property
