@@ -26,7 +26,7 @@ from service.offline.replay.setup import ReplayOptions
 from service.offline.score.trajectory import Trajectory
 from service.offline.site.changes import Change, Layers, in_words, log_odds_elsewhere
 from service.offline.site.growth import Member, Progress, Site, grow, member_of
-from service.offline.site.kept import KEPT, read_kept, write_kept
+from service.offline.site.kept import KEPT, Seen, read_kept, write_kept
 from service.offline.site.manifest import LeftOut, read_manifest, write_manifest
 from service.offline.site.paths import PATHS, write_paths
 from service.offline.site.sessions import Given, Session, digest_of, given_sessions, load_session
@@ -55,7 +55,7 @@ def site_build(
     """
     refuse_unwritable_folder(out)
     site, left_out, number = _site_there(out)
-    known_paths = {} if site is None else _take_kept(site, out)
+    kept = {} if site is None else _kept_of(site, out)
     old = [] if site is None else list(site.members)
     in_site = {one.name: one.digest for one in old}
     given, passed_over = given_sessions(paths, out, out / SESSIONS, in_site)
@@ -91,7 +91,7 @@ def site_build(
         left_out = {name: one for name, one in left_out.items() if name not in digests} | refused
         write_manifest(out, site.members, left_out)
         added = len(site.members) - len(old)
-        number = _written(site, out, number, added, {one.name: one.result for one in given}, known_paths)
+        number = _written(site, out, number, added, {one.name: one.result for one in given}, kept)
     changed = read_changed_places(out, number)
     report = _report(site, left_out, out, number, added, changed)
     of_replays = [
@@ -112,7 +112,7 @@ def _written(
     number: int,
     added: int,
     results: Mapping[str, Path],
-    known_paths: Mapping[str, Trajectory],
+    kept: Mapping[str, tuple[Seen, Trajectory]],
 ) -> int:
     """Write the map, where sessions were added to version `number`, and what lies beside it; its number.
 
@@ -124,8 +124,10 @@ def _written(
     if added and len(site.members) == 1:
         site.solve()
     layers, compared = site.layers()
+    known_paths = {name: path for name, (_, path) in kept.items()}
     for name, path in write_paths(out, site, results, known_paths).items():
-        write_kept(out, name, site.kept[name], path)
+        if name not in kept or site.kept[name] is not kept[name][0]:
+            write_kept(out, name, site.kept[name], path)
     if added:
         if number and versions_of(out)[1] != number:
             raise InputError(
@@ -174,13 +176,13 @@ def _site_there(out: Path) -> tuple[Site | None, dict[str, LeftOut], int]:
     return Site(members, stored.graph, stored.cell_m, stored.geo), left_out, stored.number
 
 
-def _take_kept(site: Site, out: Path) -> dict[str, Trajectory]:
-    """What the members saw, to the site; and their paths by name, as far as they are kept."""
-    paths = {}
-    for member in site.members:
-        if (kept := read_kept(out, member.name)) is not None:
-            site.kept[member.name], paths[member.name] = kept
-    return paths
+def _kept_of(site: Site, out: Path) -> dict[str, tuple[Seen, Trajectory]]:
+    """What the members saw, which the site gets, and their paths, by name, as far as they are kept."""
+    kept = {
+        member.name: one for member in site.members if (one := read_kept(out, member.name)) is not None
+    }
+    site.kept = {name: seen for name, (seen, _) in kept.items()}
+    return kept
 
 
 def _replayed(

@@ -1,5 +1,5 @@
-"""kept/NAME.npz: what a member of a site saw by itself, and its path. The next build reads them instead of
-rendering the scans and parsing the path again.
+"""kept/NAME.npz: what a member of a site saw by itself, and its path when it was added. The next build reads
+them instead of rendering the scans and parsing the path again.
 """
 
 import logging
@@ -42,7 +42,7 @@ class Seen:
 
 
 def write_kept(out: Path, name: str, seen: Seen, path: Trajectory) -> None:
-    """Raises StorageError."""
+    """path: any that `bent` takes to where the key frames are now. Raises StorageError."""
     rendered = seen.rendered
     arrays: dict[str, npt.NDArray[Any]] = {
         "tile_row": rendered.tile_row,
