@@ -375,9 +375,11 @@ def only_writer(folder: Path) -> Iterator[None]:
     """Makes the folder. Raises StorageError, also for each OSError inside."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / ".lock").open("w") as lock:
+        with (path := folder / ".lock").open("w") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if not path.exists():  # who held it has just removed it
+                    raise BlockingIOError
             except BlockingIOError as error:
                 raise StorageError(
                     f"{folder}: another process is writing this map; stop one of the two"

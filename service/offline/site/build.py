@@ -1,7 +1,8 @@
 """`corridor site build`: one map of all drives of a site, which grows by new ones."""
 
 import shutil
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from drivers.counted import counted
 from service.errors import CorridorError, InputError, UsageError
 from service.geometry import poses as se2
+from service.interruption import before_ending
 from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapstore.files import is_map_folder, load_map, only_writer, save_map, versions_of
 from service.offline.cluster.batch import run_batch
@@ -64,10 +66,8 @@ def site_build(
         raise UsageError(f"--join {unknown[0]}: no such session among those given, which are {names}")
     given = [one for one in given if in_site.get(one.name) != one.digest]
     left_out = {name: one for name, one in left_out.items() if name not in joined}
-    with only_writer(out / WORK):  # what one that was killed has left there is of no use
-        for leftover in (
-            path for folder in (WORK, PATHS, KEPT, "") for path in (out / folder).glob(LEFTOVERS)
-        ):
+    with _at_work(out):
+        for leftover in (path for folder in (PATHS, KEPT, "") for path in (out / folder).glob(LEFTOVERS)):
             shutil.rmtree(leftover)
         replayed = _replayed(given, options, engine, progress)
         failed = {name: each for name, each in replayed.items() if isinstance(each, CorridorError)}
@@ -104,6 +104,29 @@ def site_build(
         "failed": {name: error.exit_code for name, error in failed.items()},
         "warnings": [*passed_over, *of_replays, *_uncertain(changed)],
     }
+
+
+@contextmanager
+def _at_work(out: Path) -> Iterator[None]:
+    """Only build of the site; however it ends, the folder WORK is gone, and a new `out` that is empty. What
+    was replayed stays: the next build takes it.
+    """
+    is_new, is_at_work = not out.exists(), True
+
+    def clear() -> None:
+        if is_at_work:
+            shutil.rmtree(out / WORK, ignore_errors=True)
+            if is_new:
+                with suppress(OSError):  # it is not empty
+                    out.rmdir()
+
+    with only_writer(out / WORK):
+        before_ending(clear)
+        try:
+            yield
+        finally:
+            clear()
+            is_at_work = False
 
 
 def _written(
@@ -178,9 +201,7 @@ def _site_there(out: Path) -> tuple[Site | None, dict[str, LeftOut], int]:
 
 def _kept_of(site: Site, out: Path) -> dict[str, tuple[Seen, Trajectory]]:
     """What the members saw, which the site gets, and their paths, by name, as far as they are kept."""
-    kept = {
-        member.name: one for member in site.members if (one := read_kept(out, member.name)) is not None
-    }
+    kept = {member.name: one for member in site.members if (one := read_kept(out, member.name)) is not None}
     site.kept = {name: seen for name, (seen, _) in kept.items()}
     return kept
 

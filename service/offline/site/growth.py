@@ -1,10 +1,8 @@
 """A site grows: sessions are found in it, tied to what it has by loops, and all is solved as one graph."""
 
-import shutil
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import accumulate, pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +16,6 @@ from service.errors import CorridorError
 from service.geometry import poses as se2
 from service.geometry.geo_reference import GeoReference
 from service.geometry.poses import Floats
-from service.interruption import before_ending
 from service.mapper.components import MapRenderer, RenderedMap
 from service.mapper.graph.edit.editing import only, optimised
 from service.mapper.graph.edit.merging import MIN_MERGE_LOOPS, together
@@ -182,8 +179,7 @@ def grow(
             break
         for one in left:
             site.elsewhere.pop(one.name, None)
-        with TemporaryDirectory(prefix=".corridor-", dir=folder, ignore_cleanup_errors=True) as kept:
-            before_ending(partial(shutil.rmtree, kept, ignore_errors=True))
+        with TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as kept:
             round_ = _Round(site, left, engine, Path(kept), progress, joined)
             added = round_.add(round_.find(looked))
         looked |= dict.fromkeys((one.name for one in left), members)

@@ -134,6 +134,15 @@ def test_two_writers_do_not_meet(tmp_path):
         save_map(tmp_path, TILES, 1)
 
 
+def test_a_writer_that_locked_what_another_one_had_just_removed_does_not_write(tmp_path, monkeypatch):
+    def removed(*_: object) -> None:
+        (tmp_path / ".lock").unlink()
+
+    monkeypatch.setattr(files.fcntl, "flock", removed)
+    with pytest.raises(StorageError, match="another process is writing"), files.only_writer(tmp_path):
+        pass
+
+
 def test_a_full_disk_leaves_the_version_before(tmp_path, monkeypatch):
     def no_room(*_: object) -> None:
         raise OSError(28, "No space left on device")

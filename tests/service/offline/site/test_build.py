@@ -294,6 +294,41 @@ def written(path: Path) -> tuple[int, int]:
     return path.stat().st_ino, path.stat().st_mtime_ns
 
 
+def test_a_build_leaves_nothing_behind_but_the_map(grown, drives, tmp_path, monkeypatch):
+    for step in ("growth._Round.find", "build.save_map"):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"service.offline.site.{step}", killed)
+            for out in (tmp_path / "new", grown):
+                with pytest.raises(KeyboardInterrupt):
+                    build([drives / "b", drives / "c"], out)
+                assert not (out / ".build").exists()
+        assert (tmp_path / "new").exists() == (step == "build.save_map")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="stored no map"):
+        build([parked(tmp_path)], tmp_path / "empty")
+    assert list((tmp_path / "empty").iterdir()) == []
+    build([drives / "c"], grown)
+    assert not (grown / ".build").exists()
+
+
+def test_a_build_that_is_interrupted_removes_its_folder_and_no_other_ones(grown, drives, monkeypatch):
+    cleanups: list[Any] = []
+    monkeypatch.setattr("service.offline.site.build.before_ending", cleanups.append)
+
+    def interrupted(tasks: Sequence[AnyTask]) -> Ended:
+        assert (grown / ".build").exists()
+        cleanups[-1]()
+        assert not (grown / ".build").exists()
+        raise KeyboardInterrupt
+        yield
+
+    with pytest.raises(KeyboardInterrupt):
+        build([drives / "c"], grown, interrupted)
+    (grown / ".build").mkdir()
+    cleanups[-1]()
+    assert (grown / ".build").exists()
+
+
 def parked(folder: Path) -> Path:
     """A result without a map."""
     (folder / "parked").mkdir()
