@@ -23,6 +23,7 @@ log = logging.getLogger(__name__)
 
 KERNELS = Path(__file__).parents[1] / "kernels"
 PREFIX = f"corridor-kernels-{sys.implementation.cache_tag}-"  # of the folders, then the key
+CPUINFO = Path("/proc/cpuinfo")
 KEY_LENGTH = 12  # hexadecimal digits
 WARM_NAME = "warm"  # in a folder that has the kernels of all profiles
 
@@ -31,9 +32,11 @@ WARM_NAME = "warm"  # in a folder that has the kernels of all profiles
 def cache_key() -> str:
     """Short hash of kernel sources, compiler, Python and processor."""
     sources = b"".join(path.read_bytes() for path in sorted(KERNELS.glob("*.py")))
-    processor = next(
-        (line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")), ""
-    )
+    try:
+        facts = CPUINFO.read_text().splitlines()
+    except OSError:
+        facts = []  # hidden, as by ProcSubset=pid of systemd; numba looks at the processor, too
+    processor = next((line for line in facts if line.startswith("model name")), "")
     tools = f"numba {version('numba')} llvmlite {version('llvmlite')} Python {sys.version} {processor}"
     return hashlib.sha256(sources + tools.encode()).hexdigest()[:KEY_LENGTH]
 

@@ -59,6 +59,11 @@ def test_no_command_runs_before_the_service():
     assert "\nExecStartPre=" not in UNIT.read_text()
 
 
+def test_the_service_sees_which_processor_it_has():
+    """ProcSubset=pid hides /proc/cpuinfo, by which LLVM on ARM and the kernels' cache tell the processor."""
+    assert "\nProcSubset=pid" not in UNIT.read_text()
+
+
 @pytest.mark.parametrize("module", ["usbserial", "cdc_acm"])
 @pytest.mark.parametrize("setting", ["After", "Wants"])
 def test_a_port_that_is_plugged_in_after_the_start_is_let_in(setting: str, module: str):

@@ -76,6 +76,14 @@ def test_without_a_place_a_private_one_is_made_with_a_warning(
     assert "compiled again at every start" in caplog.text
 
 
+def test_a_hidden_cpuinfo_does_not_end_the_start(
+    sources: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    """As under a unit with ProcSubset=pid, or in a container."""
+    monkeypatch.setattr(kernel_cache, "CPUINFO", tmp_path / "proc" / "cpuinfo")
+    assert ensure_cache_dir() is None
+
+
 def test_kernels_of_other_sources_are_deleted_and_nothing_else(sources: Path):
     """Neither those of another Python nor what else is in the folder, which may be /tmp."""
     ensure_cache_dir()
