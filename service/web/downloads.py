@@ -39,8 +39,11 @@ class Downloads:
             workers.submit(self._resources.purge)
 
     def close(self) -> None:
+        """End what is being made, and remove what was not fetched. The event loop has ended."""
         if self._resources is not None:
             self._resources.close()
+        for ticket in list(self._tickets):
+            self._withdraw(ticket)
 
     async def carry_out(self, requested: ResourceRequest, workers: Executor) -> dict[str, Any]:
         if self._resources is None:

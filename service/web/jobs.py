@@ -13,25 +13,55 @@ from service.errors import words_of
 
 WORK_TIMEOUT_S = 300.0  # of an export or an edit
 TURN_TIMEOUT_S = 20.0  # until the request before is answered
+STOPPING = "the service is stopping"
 
 
 class ResourceError(Exception):
     """Why something is not done, as text for the client."""
 
 
-def run(*arguments: str) -> str:
-    """Stdout of `corridor ...`. Raises ResourceError."""
-    command = _gentle("-m", "service", *arguments)
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=WORK_TIMEOUT_S, check=False)
-    except subprocess.TimeoutExpired as error:
-        raise ResourceError(f"it took longer than {WORK_TIMEOUT_S:.0f} s and was ended") from error
-    if done.returncode != 0:
-        error_lines = done.stderr.strip().splitlines()
-        raise ResourceError(
-            error_lines[-1] if error_lines else f"{arguments[0]} ended with exit code {done.returncode}"
-        )
-    return done.stdout
+class CommandProcess:
+    """Runs `corridor ...`, one after the other. `close`, from any thread, ends what runs."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()  # of both below
+        self._process: subprocess.Popen[str] | None = None
+        self._is_closed = False
+
+    def run(self, *arguments: str) -> str:
+        """Stdout. Raises ResourceError."""
+        command = _gentle("-m", "service", *arguments)
+        with self._lock:
+            if self._is_closed:
+                raise ResourceError(STOPPING)
+            process = self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            )
+        with process:
+            try:
+                out, err = process.communicate(timeout=WORK_TIMEOUT_S)
+            except subprocess.TimeoutExpired as error:
+                process.kill()
+                raise ResourceError(f"it took longer than {WORK_TIMEOUT_S:.0f} s and was ended") from error
+        with self._lock:
+            self._process = None
+            if self._is_closed:
+                raise ResourceError(STOPPING)
+        if process.returncode != 0:
+            error_lines = err.strip().splitlines()
+            raise ResourceError(
+                error_lines[-1]
+                if error_lines
+                else f"{arguments[0]} ended with exit code {process.returncode}"
+            )
+        return out
+
+    def close(self) -> None:
+        """At once; nothing is begun any more."""
+        with self._lock:
+            self._is_closed = True
+            if self._process is not None:
+                self._process.kill()
 
 
 class SessionMapProcess:

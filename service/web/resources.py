@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from service.errors import words_of
-from service.web.jobs import ResourceError, SessionMapProcess, run
+from service.web.jobs import CommandProcess, ResourceError, SessionMapProcess
 
 Kind = Literal["session", "map"]
 
@@ -61,6 +61,7 @@ class Resources:
         self._working = threading.Lock()  # one export at a time: the vehicle has other work
         self._deleted: dict[str, tuple[Kind, str]] = {}
         self._map_process = SessionMapProcess()
+        self._exporting = CommandProcess()
 
     def listing(self) -> dict[str, Any]:
         """Entries by kind, newest first: name, bytes, last change (Unix, s), whether it is in use, and
@@ -145,6 +146,7 @@ class Resources:
         return self._map_process.ask("keyframe", self._own("map", name, is_changed=False), request)
 
     def close(self) -> None:
+        self._exporting.close()
         self._map_process.close()
 
     @contextmanager
@@ -166,7 +168,7 @@ class Resources:
                 shutil.copytree(path, made, dirs_exist_ok=True, symlinks=False)
             else:
                 out = made / f"{stem}.{SUFFIXES.get(to, to)}"
-                run("export", str(path), "--format", to, "--out", str(out))
+                self._exporting.run("export", str(path), "--format", to, "--out", str(out))
             files = list(made.iterdir())
             if len(files) == 1 and files[0].is_file():
                 return Download(files[0], files[0].name, scratch)

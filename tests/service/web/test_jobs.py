@@ -10,7 +10,10 @@ from pathlib import Path
 import pytest
 
 from service.web import jobs
-from service.web.jobs import ResourceError, SessionMapProcess
+from service.web.jobs import CommandProcess, ResourceError, SessionMapProcess
+from tests.in_background import started
+from tests.processes import alive
+from tests.waiting import wait_until
 
 ANSWERS = """
 import json, sys
@@ -31,7 +34,7 @@ def process():
 
 def children() -> set[int]:
     """Process ids."""
-    return set(map(int, Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()))
+    return {one.pid for one in alive() if one.parent == os.getpid()}
 
 
 def test_one_process_answers_all_questions_and_another_replaces_it_after_its_death(process, monkeypatch):
@@ -55,3 +58,17 @@ def test_a_process_that_dies_at_a_question_is_reported_in_words(process, monkeyp
     monkeypatch.setattr(jobs, "_gentle", lambda *arguments: ["false"])
     with pytest.raises(ResourceError, match=r"has ended|was ended"):
         process.ask("look", OFFICE, {})
+
+
+def test_a_command_ends_with_the_service_and_none_begins_after_it(monkeypatch):
+    """An export of a long session takes minutes: the service waited for it at its end."""
+    monkeypatch.setattr(jobs, "_gentle", lambda *arguments: ["sleep", "60"])
+    process, others = CommandProcess(), children()
+    running = started(lambda: process.run("export"))
+    wait_until(lambda: children() - others, words="no process was begun")
+    process.close()
+    with pytest.raises(ResourceError, match="the service is stopping"):
+        running.result(20.0)
+    assert not children() - others
+    with pytest.raises(ResourceError, match="the service is stopping"):
+        process.run("export")

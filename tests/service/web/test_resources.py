@@ -149,12 +149,12 @@ def test_a_format_that_there_is_not_is_refused(resources):
 def test_one_export_at_a_time(resources, monkeypatch):
     began, go_on = threading.Event(), threading.Event()
 
-    def run(*arguments):
+    def run(process, *arguments):
         began.set()
         assert go_on.wait(20.0)
         raise ResourceError("ended")
 
-    monkeypatch.setattr("service.web.resources.run", run)
+    monkeypatch.setattr("service.web.jobs.CommandProcess.run", run)
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(resources.download, "map", "office", "png")
         assert began.wait(20.0)
