@@ -26,13 +26,15 @@ WRITE_S = 1.0
 
 
 class Point(BaseModel):
-    """Map and pose of a service."""
+    """Map and pose of a service, and its process."""
 
-    folder: Path  # of the map that it stored last
+    folder: Path  # of its present map, which is stored
     unix_ns: int
     x_m: float  # pose_map_base
     y_m: float
     theta_rad: float
+    pid: int = 0
+    begun_ticks: int = 0  # of the process, since the boot: another one may have its number later
 
     @property
     def pose(self) -> SE2:
@@ -52,6 +54,13 @@ def resumed(config: ServiceConfig) -> tuple[ServiceConfig, SE2 | None]:
     try:
         point = Point.model_validate_json(read_text(point_file(config)))
     except (OSError, CorridorError, ValidationError, ValueError):
+        return config, None
+    if point.pid != os.getpid() and point.begun_ticks and point.begun_ticks == _begun_ticks(point.pid):
+        log.warning(
+            "process %d is a service of %s, too, and stores its maps in %s: two write each other's maps and "
+            "recordings there, and a new map begins; give one of them another `vehicle`, or end it",
+            *(point.pid, config.vehicle, stored.directory),
+        )
         return config, None
     age_s = time.time() - point.unix_ns / 1e9
     if not 0.0 <= age_s <= stored.resume_within_s or config.begin_in not in (None, point.folder):
@@ -73,6 +82,16 @@ def resumed(config: ServiceConfig) -> tuple[ServiceConfig, SE2 | None]:
     return config, point.pose
 
 
+def _begun_ticks(pid: int) -> int:
+    """When the process began, since the boot; 0: there is none, or it has ended."""
+    try:
+        stat = Path("/proc", str(pid), "stat").read_text(errors="replace")
+    except OSError:
+        return 0
+    state, *fields = stat.rpartition(")")[2].split()
+    return 0 if state == "Z" else int(fields[18])
+
+
 class PointWriter:
     """Writes the file each WRITE_S, in a thread of its own: a disk may hang.
 
@@ -81,6 +100,7 @@ class PointWriter:
 
     def __init__(self, path: Path, now: Callable[[], Point | None]) -> None:
         self._path = path
+        self._part = path.with_name(f"{path.name}.{os.getpid()}")  # a full disk leaves it behind
         self._now = now
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="resume", daemon=True)
@@ -96,17 +116,17 @@ class PointWriter:
 
     def remove(self) -> None:
         """The service has ended in good order. Raises OSError."""
-        self._path.unlink(missing_ok=True)
+        for path in (self._path, self._part):
+            path.unlink(missing_ok=True)
 
     def _run(self) -> None:
-        fault = ""
+        fault, own = "", {"pid": os.getpid(), "begun_ticks": _begun_ticks(os.getpid())}
         while not self._over.wait(WRITE_S):
             if (point := self._now()) is None:
                 continue
             try:
-                part = self._path.with_name(f"{self._path.name}.{os.getpid()}")
-                part.write_text(point.model_dump_json(), encoding="utf-8")
-                part.rename(self._path)
+                self._part.write_text(point.model_copy(update=own).model_dump_json(), encoding="utf-8")
+                self._part.rename(self._path)
                 fault = ""
             except OSError as error:
                 if str(error) != fault:

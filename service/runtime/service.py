@@ -355,8 +355,7 @@ class Service:
         return self._dispatcher.answer(verb, payload)
 
     def _point(self) -> Point | None:
-        saved, mapped = self._sinks.map_storage().newest, self.outputs.last
-        folder = self._config.begin_in if saved is None else saved.folder
+        folder, mapped = self._sinks.map_storage().stored_folder, self.outputs.last
         if folder is None or mapped is None:
             return None
         pose = decode_pose(mapped.messages[0].payload).pose

@@ -108,6 +108,14 @@ class MapSaver(Sink):
         return None if self._newest is None else self._newest[1]
 
     @property
+    def stored_folder(self) -> Path | None:
+        """Of the present map, where a version of it is on disk: that of its pose, too."""
+        number = self._tiles.number
+        begun_in = self._folder if self._is_localizing and number == 1 else self._begun_in.get(number)
+        saved = self._newest_of(number)
+        return begun_in if saved is None else saved.folder
+
+    @property
     def saved_version(self) -> int:
         """Newest tile of the present map that is on disk; 0: none."""
         newest = self._newest_of(self._tiles.number)

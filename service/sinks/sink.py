@@ -173,8 +173,8 @@ class MapStorage(Protocol):
     def folder(self) -> Path: ...
 
     @property
-    def newest(self) -> SavedMap | None:
-        """What was saved last; None before the first."""
+    def stored_folder(self) -> Path | None:
+        """Of the present map, where a version of it is on disk; None: there is none yet."""
         ...
 
     @property

@@ -1,4 +1,6 @@
 import os
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -53,6 +55,27 @@ def test_a_session_goes_on_in_the_map_and_at_the_pose_of_one_that_was_killed(con
 def test_an_old_map_is_not_gone_on_in(config, folder, ago_s):
     killed(config, folder, ago_s)
     assert resumed(config) == (config, None)
+
+
+def test_the_map_of_a_service_that_runs_is_not_gone_on_in(config, folder, monkeypatch, caplog):
+    """Two of one vehicle by two configs would store versions in one folder."""
+    monkeypatch.setattr(resume, "WRITE_S", 0.01)
+    killed(config, folder, ago_s=1.0)
+    point = Point.model_validate_json(point_file(config).read_text())
+    program = (
+        "import sys; from pathlib import Path; from service.runtime.resume import Point, PointWriter\n"
+        "path = Path(sys.argv[1]); point = Point.model_validate_json(path.read_text()); path.unlink()\n"
+        "writer = PointWriter(path, lambda: point); writer.start(); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", program, str(point_file(config))]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as other:
+        wait_until(
+            lambda: point_file(config).exists() and point_file(config).read_text() != point.model_dump_json()
+        )
+        assert resumed(config) == (config, None)
+        assert f"process {other.pid} is a service of veh1, too" in caplog.text
+        other.kill()
+    assert resumed(config)[1] == point.pose
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"folder": 1}', "[]"])

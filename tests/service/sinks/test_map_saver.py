@@ -160,6 +160,21 @@ def test_a_map_that_the_disk_refused_is_saved_later_even_after_resets(tmp_path: 
     assert kept.saver.newest == SavedMap(tmp_path / "map_2", 1, 5)
 
 
+def test_a_map_after_a_reset_has_no_folder_to_resume_in_until_it_is_saved(tmp_path: Path):
+    """The pose is of the new map: in that before it would be another place."""
+    kept = Kept(tmp_path / "map")
+    kept.tiles.update([tile(1)])
+    assert kept.saver.stored_folder is None
+    kept.saver.save()
+    assert kept.saver.stored_folder == tmp_path / "map"
+    kept.tiles.start_over()
+    kept.saver.begun_new()
+    kept.saver.save()
+    assert kept.saver.stored_folder is None
+    kept.saver.begun_in(tmp_path / "office")
+    assert kept.saver.stored_folder == tmp_path / "office"
+
+
 def test_where_the_map_lies_is_saved_with_it_and_again_when_that_alone_changed(tmp_path: Path):
     kept = Kept(tmp_path / "map")
     kept.tiles.update([tile(1)])
