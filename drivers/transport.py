@@ -27,6 +27,10 @@ def _reason(error: BaseException) -> str:
     if isinstance(error, serial.SerialException) and error.errno is None and error.__context__ is not None:
         return _reason(error.__context__)  # of a URL: it quotes it
     number = error.errno if isinstance(error, OSError) else None
+    if isinstance(error, termios.error):
+        number = error.args[0]
+        if number == errno.ENOTTY:
+            return "it is no serial port"
     if isinstance(error, serial.SerialException) and number == errno.EWOULDBLOCK:  # locked by another process
         return "another program has it open"
     if number is None or isinstance(error, socket.gaierror):  # whose numbers are not the system's

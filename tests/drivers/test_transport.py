@@ -139,6 +139,12 @@ def test_serial_port_that_is_not_there_is_named_once_and_without_numbers(tmp_pat
     assert str(refused.value) == f"cannot open {tmp_path}/port at 9600 baud: No such file or directory"
 
 
+def test_a_file_that_is_no_serial_port_is_named_so():
+    with pytest.raises(TransportError) as refused:
+        SerialTransport("/dev/null", 9600)
+    assert str(refused.value) == "cannot open /dev/null at 9600 baud: it is no serial port"
+
+
 def test_tcp_port_that_refuses_is_named_without_numbers(listener):
     host, port = listener.getsockname()
     listener.close()
