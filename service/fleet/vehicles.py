@@ -59,7 +59,10 @@ class Vehicle:
     def is_well(self) -> bool:
         """It answers with a health message of now, its name is its own, and it maps."""
         is_now = self.age_s is None or abs(self.age_s) <= MAX_AGE_S
-        return is_now and self.state not in ("silent", "lost", "stale") and len(self.sessions) < 2
+        maps = self.state not in ("silent", "lost", "stale") and not any(
+            fault.startswith(f"{FAULTS[ERROR]} mapping:") for fault in self.faults
+        )
+        return is_now and maps and len(self.sessions) < 2
 
     def as_dict(self) -> dict[str, Any]:
         return {**asdict(self), "is_well": self.is_well}

@@ -82,11 +82,13 @@ def is_in_fleet(sink: FleetSink) -> bool:
     return sink._publisher is not None
 
 
-def diagnostics(state: str = "ok", stamp_ns: int | None = None):
-    """stamp_ns   None: now"""
+def diagnostics(state: str = "ok", stamp_ns: int | None = None, level: int = OK):
+    """stamp_ns   None: now
+    level      of the status mapping
+    """
     stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
     rows = [
-        Status("mapping", OK, state, {"state": state}),
+        Status("mapping", level, state, {"state": state}),
         Status("recording", OK, "recording", {"free_gb": "12.5"}),
         Status("map", OK, "ok", {"folder": "/maps/site", "saved_version": "3"}),
         Status("fleet", OK, "ok", {"corridor": "0.1.0", "map_version": "7"}),

@@ -15,7 +15,7 @@ import pytest
 import zenoh
 
 from service.config import load_publishing
-from service.encoding import encode_pose
+from service.encoding import ERROR, encode_pose
 from service.errors import StorageError
 from service.fleet import vehicles as vehicles_module
 from service.fleet.router import zenohd_config
@@ -71,6 +71,16 @@ def test_a_vehicle_whose_clock_is_a_day_off_is_not_well(
     assert vehicle.is_well is is_well
     assert vehicle.age_s == pytest.approx(-off_s, abs=30.0)
     assert any("is its clock right" in one for one in vehicle.faults) is not is_well
+
+
+def test_a_vehicle_that_waits_in_vain_for_its_first_scan_is_not_well(
+    endpoint, router, start_vehicle, open_client, site_file, capsys
+):
+    start_vehicle(endpoint).put(diagnostics("waiting", level=ERROR))
+    client = open_client(endpoint)
+    wait_until(lambda: list(client.get("corridor/v1/veh1/health", timeout=20.0)))
+    code, vehicles = vehicles_at(capsys, site_file)
+    assert (code, vehicles["veh1"]["is_well"]) == (1, False)
 
 
 def test_a_router_that_does_not_answer_is_told_with_what_to_look_at(site):
