@@ -424,7 +424,12 @@ def recover_leftovers(paths: Sequence[Path]) -> None:
     for path in paths:
         try:
             if is_locked(path):
-                continue  # another service writes to the same directory
+                log.warning(
+                    "%s is being written: another service has this recording.directory, too; give each its "
+                    "own, for `corridor fleet pull` fetches all that is there from either",
+                    path,
+                )
+                continue
             if path.stat().st_size == 0:  # killed before the first batch was written
                 path.unlink()
                 log.info("removed %s, which was empty", path)

@@ -207,6 +207,15 @@ def test_a_leftover_that_another_began_to_recover_meanwhile_is_left_to_it(active
     assert list(path.parent.iterdir()) == [path]
 
 
+def test_a_file_that_another_service_writes_is_left_to_it_with_a_warning(tmp_path, caplog):
+    path = tmp_path / "veh2.mcap.active"
+    with path.open("wb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        recover_leftovers([path])
+    assert path.exists()
+    assert f"{path} is being written: another service has this recording.directory, too" in caplog.text
+
+
 def test_an_empty_leftover_is_removed(tmp_path):
     path = tmp_path / "x.mcap.active"
     path.touch()
