@@ -73,6 +73,7 @@ HealthReasonId = Literal[
     # outputs
     "output_failed",
     "messages_dropped",
+    "certificate_not_valid",
     "recording_stopped",
     "disk_full",
     "disk_error",

@@ -1,16 +1,20 @@
 """Messages, the map and commands on Zenoh, as a sink."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from drivers.link import LinkHealth
-from service.encoding import Message, Status, decode_diagnostics
-from service.outputs import TileUpdate
+from service.encoding import WARNING, Message, Status, decode_diagnostics
+from service.outputs import TileUpdate, reason_value
+from service.publishing.certificate import Validity
 from service.publishing.config import PublishingConfig
 from service.publishing.shared import SharedZenoh
 from service.publishing.zenoh_publisher import ZenohPublisher
 from service.sinks.counted_row import counted_row
 from service.sinks.sink import Sink, SinkContext
+
+log = logging.getLogger(__name__)
 
 KEYS = {"diagnostics": "health"}  # channels that have another name on Zenoh
 SERVICE, MAPPING = "service", "mapping"  # components beside the sensors that have a token
@@ -30,6 +34,9 @@ class ZenohSink(Sink):
 
     def __init__(self, config: PublishingConfig, context: SinkContext) -> None:
         self._context = context
+        self._validity = Validity(config.secured.tls if config.secured is not None else None)
+        if fault := self._validity.fault():
+            log.warning("zenoh: %s", fault)
         self._publisher = ZenohPublisher(
             config, context.vehicle, context.tiles, context.pose_sent, shared=context.shared.of(SharedZenoh)
         )
@@ -52,7 +59,10 @@ class ZenohSink(Sink):
     def health(self) -> Status:
         endpoints = " ".join(self._publisher.endpoints)
         more = {"initialpose_refused": self._publisher.pose_refused, "endpoints": endpoints}
-        return counted_row(self.name, self._publisher.counts(), more)
+        row = counted_row(self.name, self._publisher.counts(), more)
+        if fault := self._validity.fault():
+            return Status(self.name, WARNING, fault, {**row.values, **reason_value("certificate_not_valid")})
+        return row
 
     def place(self) -> str:
         return ", ".join(self._publisher.endpoints)
