@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Generic, Literal, Self, TypeVar, get_args, overload
 
+import numpy as np
 import zenoh
 
 from drivers.frames import LaserScan
@@ -50,7 +51,9 @@ class Subscription(Generic[UpdateT]):
         self._changed = threading.Condition()  # of all that follows
         self._stream: deque[Any] = deque()
         self._tiles: dict[str, Any] = {}  # by key; the one that waits longest first
-        self._newest: dict[str, tuple[bytes, int]] = {}  # of each tile: run of the service, and version in it
+        # Of each tile: run of the service, and version in it; metres and number of cells of an edge.
+        self._newest: dict[str, tuple[bytes, int, float, int]] = {}
+        self._runs: dict[str, set[bytes]] = {}  # of the service, by vehicle
         self._is_tile_next = True
         self._is_closed = False
         self._keys = {one: vehicle_key(vehicle, CHANNELS[one]) for one in what}
@@ -151,14 +154,29 @@ class Subscription(Generic[UpdateT]):
 
     def _add_tile(self, key: str, payload: bytes, version: int, run: bytes) -> None:
         with self._changed:
-            newest_run, newest = self._newest.get(key, (run, 0))
-            if run == newest_run and version <= newest:
+            newest = self._newest.get(key)
+            if newest is not None and newest[0] == run and version <= newest[1]:
                 return
-            self._newest[key] = run, version
-            grid = decode_grid(payload)
-            level, ix, iy = map(int, key.rsplit("/", 3)[1:])
-            self._tiles[key] = TileUpdate(level, ix, iy, version, grid.cell_m, grid.cells)
+            grid, place = decode_grid(payload), _place(key)
+            self._empty_former(key.partition(f"/{TILES}/")[0], run)
+            self._newest[key] = run, version, grid.cell_m, len(grid.cells)
+            self._tiles[key] = TileUpdate(*place, version, grid.cell_m, grid.cells)
             self._changed.notify()
+
+    def _empty_former(self, vehicle: str, run: bytes) -> None:
+        """Where the service was started again: the tiles of its run before are those of another map. Under
+        the lock.
+        """
+        runs = self._runs.setdefault(vehicle, set())
+        if run in runs:
+            return
+        if runs:
+            self._ask_at_s = time.monotonic()
+            for key in [key for key in self._newest if key.startswith(f"{vehicle}/")]:
+                *_, cell_m, edge = self._newest.pop(key)
+                unknown = np.full((edge, edge), -1, np.int8)
+                self._tiles[key] = TileUpdate(*_place(key), 0, cell_m, unknown)
+        runs.add(run)
 
 
 @overload
@@ -219,6 +237,12 @@ def _connect(endpoint: str) -> zenoh.Session:
             f"no service answers at {endpoint} within {CONNECT_S:.0f} s; expected its publishing.listen, "
             "such as tcp/127.0.0.1:7447"
         ) from error
+
+
+def _place(key: str) -> tuple[int, int, int]:
+    """Level, ix, iy of a tile."""
+    level, ix, iy = map(int, key.rsplit("/", 3)[1:])
+    return level, ix, iy
 
 
 def _scan(key: str, payload: bytes) -> LaserScan | None:

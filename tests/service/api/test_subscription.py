@@ -6,9 +6,13 @@ import corridor
 from service.api import subscription
 from service.encoding import encode_frame, encode_pose
 from service.geometry.se2 import SE2
+from service.mapstore.tiles import TileStore
 from service.outputs import NO_REASON, MapperOutput
+from service.publishing.config import PublishingConfig
+from service.publishing.zenoh_publisher import ZenohPublisher
 from tests.service.mapstore.tile_makers import same, tile
 from tests.service.publishing.conftest import client_config
+from tests.system.machine import free_port
 from tests.waiting import wait_until
 
 TIMEOUT_S = 20.0
@@ -76,6 +80,24 @@ def test_a_tile_that_the_link_lost_is_asked_for_again(publisher, store, monkeypa
         assert same(next(updates), tile(2, -3, 1))
         store.update([tile(4, 4, 3)])  # never published
         assert same(next(updates), tile(4, 4, 3))
+
+
+def test_tiles_of_the_run_before_come_once_more_as_unknown(store):
+    """A service that was started again may be in another map: what only the map before had would stay."""
+    store.update([tile(2, -3, 1)])
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    config = PublishingConfig(listen=(endpoint,))
+    with ZenohPublisher(config, "veh1", store):
+        updates = corridor.subscribe(endpoint, "tile", timeout_s=TIMEOUT_S)
+        assert same(next(updates), tile(2, -3, 1))
+    again = TileStore()
+    again.update([tile(4, 4, 1)])
+    with updates, ZenohPublisher(config, "veh1", again):
+        came = next(updates), next(updates)
+    emptied, new = sorted(came, key=lambda one: one.version)
+    assert (emptied.ix, emptied.iy, emptied.version) == (2, -3, 0)
+    assert (emptied.cells == -1).all()
+    assert same(new, tile(4, 4, 1))
 
 
 def test_only_what_is_asked_for_comes_and_silence_ends_in_words(publisher):
