@@ -137,6 +137,7 @@ class McapRecorder:
         self._last_log_ns = 0
         self._sync_at_s = 0.0
         self._retry_at_s = 0.0
+        self._reported = ""  # what the disk said, "" once it has taken something again
         self.health = RecorderHealth()
 
     @property
@@ -352,7 +353,7 @@ class McapRecorder:
         for message in self._latched.values():
             if message is not first:
                 file.write(message, log_ns=first.log_ns)
-        log.info("recording to %s", file.active_path)
+        log.log(logging.DEBUG if self._reported else logging.INFO, "recording to %s", file.active_path)
         self.health.state = "recording"
         return file
 
@@ -363,6 +364,9 @@ class McapRecorder:
             try:
                 self._file.sync()
                 self._unsynced.clear()
+                if self._reported:
+                    self._reported = ""
+                    log.info("recording again, to %s", self._file.active_path)
                 if not self._has_room(self._keep_free_bytes):
                     self._close()
             except Exception as error:  # as in _keep
@@ -389,17 +393,21 @@ class McapRecorder:
         self.health.last_error = f"{where}: {words_of(error)}"
         self.health.state, self.health.path = "disk error", None
         self._retry_at_s = self._monotonic_s() + RETRY_S
-        log.error("recording: %s; a new file is tried in %.0f s", self.health.last_error, RETRY_S)
-        self._give_up_unsynced()
+        level = logging.DEBUG if words_of(error) == self._reported else logging.ERROR
+        self._reported = words_of(error)
+        log.log(level, "recording: %s; a new file is tried each %.0f s", self.health.last_error, RETRY_S)
+        self._give_up_unsynced(level)
         if file is not None:
             file.abandon()
 
-    def _give_up_unsynced(self) -> None:
+    def _give_up_unsynced(self, level: int) -> None:
         """Count it as dropped: what of it is on the disk is unknown; a recovery restores that."""
         if not self._unsynced:
             return
-        log.error(
-            "recording: %s not synced yet, counted as dropped", counted(self._unsynced.total(), "message")
+        log.log(
+            level,
+            "recording: %s not synced yet, counted as dropped",
+            counted(self._unsynced.total(), "message"),
         )
         with self._wake:
             self.health.dropped.update(self._unsynced)

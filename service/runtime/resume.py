@@ -8,6 +8,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,6 +130,8 @@ class PointWriter:
                 self._part.rename(self._path)
                 fault = ""
             except OSError as error:
+                with suppress(OSError):
+                    self._part.unlink(missing_ok=True)
                 if str(error) != fault:
                     log.warning(
                         "%s cannot be written, a restart would begin a new map: %s", self._path, error

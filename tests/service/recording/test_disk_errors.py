@@ -2,6 +2,7 @@
 
 import errno
 import io
+import logging
 from pathlib import Path
 
 from service.recording import mcap_recorder
@@ -75,6 +76,27 @@ def test_a_disk_error_costs_the_file_but_not_the_recording(recorder, tmp_path):
     assert list(tmp_path.iterdir()) == [path]  # a disk that stays full does not gather empty files
     assert path.name.endswith("_0002.mcap")
     assert [payload for _, _, payload in read_back(path)] == [scan_message(2).payload]
+
+
+def test_a_disk_that_stays_full_is_reported_once_and_when_it_takes_something_again(recorder, caplog):
+    caplog.set_level(logging.INFO)
+    clock = SetClock()
+    rooms = iter([2_000] * 5)
+
+    def open_stream(path: Path):
+        room = next(rooms, None)
+        return create_stream(path) if room is None else FailingStream(path, room)
+
+    session = recorder(open_stream=open_stream, monotonic_s=clock)
+    for number in range(5):
+        session.put(scan_message(number))
+        wait_until(lambda number=number: session.health.dropped["front/scan"] == number + 1)
+        clock.now_s += mcap_recorder.RETRY_S
+    session.put(scan_message(5))
+    wait_until(lambda: "recording again, to" in caplog.text)
+    assert caplog.text.count("No space left on device") == 1
+    assert caplog.text.count("recording to") == 1
+    session.finish()
 
 
 def test_what_was_synced_before_a_disk_error_stays_to_be_recovered(recorder, tmp_path):
