@@ -15,7 +15,7 @@ import pytest
 import zenoh
 
 from service.config import load_publishing
-from service.encoding import ERROR, encode_pose
+from service.encoding import ERROR, WARNING, Status, encode_diagnostics, encode_pose
 from service.errors import StorageError
 from service.fleet import vehicles as vehicles_module
 from service.fleet.router import zenohd_config
@@ -114,6 +114,27 @@ def test_watch_shows_changes_and_a_vehicle_that_goes(endpoint, router, start_veh
     sink.close()
     wait_until(lambda: seen[-1].state == "silent")
     assert [one.state for one in seen if one.sessions] == ["ok", "lost"]
+
+
+def test_watch_passes_over_a_fault_whose_figures_alone_change(endpoint, router, start_vehicle, open_client):
+    sink = start_vehicle(endpoint)
+    put_health(sink, open_client(endpoint))
+    seen: list[Vehicle] = []
+    watch = Watch(open_client(endpoint))
+    thread = threading.Thread(target=watch.run, args=(seen.append, 60.0, True), daemon=True)
+    thread.start()
+    words = [f"{count} scans in {count}.5 s were not mapped" for count in (3, 14)]
+    for expected, fault in zip((words[0], words[0], "no scan comes"), (*words, "no scan comes"), strict=True):
+        row = Status("mapping", WARNING, fault, {"state": "overloaded"})
+        health = encode_diagnostics("diagnostics", [row], time.time_ns(), time.time_ns())
+        heard = threading.Event()
+        client = open_client(endpoint)
+        client.declare_subscriber("corridor/v1/veh1/health", lambda sample, heard=heard: heard.set())
+        wait_until(lambda heard=heard, health=health: sink.put(health) or heard.is_set())
+        wait_until(lambda expected=expected: any(expected in "".join(one.faults) for one in seen))
+    watch.close()
+    thread.join(20.0)
+    assert [one.faults[0].rpartition(": ")[2] for one in seen if one.faults] == [words[0], "no scan comes"]
 
 
 @contextmanager
