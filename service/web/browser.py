@@ -1,6 +1,7 @@
 """One browser's websocket: messages to it, and its requests."""
 
 import asyncio
+import json
 import logging
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -31,6 +32,8 @@ SHOW_TOKEN_S = 5.0  # where the places without one are taken
 MAX_COMMANDS = 4  # of one browser, being carried out
 MAX_ASKED_PER_S = 20.0
 ASKED_BURST = 40.0
+LOOKS = ("list", "look", "keyframe")  # actions that change nothing, and are in no log
+MAX_LOGGED = 300  # characters of a request and of its answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +199,18 @@ class Browser:
             task.add_done_callback(self._commands.discard)
 
     async def _command(self, requested: CommandRequest | ResourceRequest) -> None:
-        self._answer(requested.n, await self._carry_out(requested))
+        by = "without a token" if self.grant is None else f"by {self.grant.name}"
+        body = await self._carry_out(requested)
+        if isinstance(requested, CommandRequest) or requested.action not in LOOKS:
+            words = requested.model_dump(mode="json", exclude={"type", "n"}, exclude_defaults=True)
+            log.info("web: %s at %s: %s: %s", by, self.address, _shown(words), _shown(body))
+        self._answer(requested.n, body)
 
     def _answer(self, n: int, body: dict[str, Any]) -> None:
         self.send_queue.answer(to_json("answer", n=n, body=body))
+
+
+def _shown(words: dict[str, Any]) -> str:
+    """For the log: on one line, and cut where it is long."""
+    text = json.dumps(words)
+    return text if len(text) <= MAX_LOGGED else f"{text[:MAX_LOGGED]}..."

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import logging
 
 import aiohttp
 import pytest
@@ -11,7 +12,9 @@ from service.web.tokens import add_grant, revoke_grant
 from tests.service.web.conftest import TOKEN, talk
 
 
-def test_commands_need_the_token(serve, dispatcher):
+def test_commands_need_the_token(serve, dispatcher, caplog):
+    caplog.set_level(logging.INFO)
+
     async def ask(client):
         async with client.socket() as socket:
             await client.ask(socket, type="command", n=1, verb="mark", request={"text": "x"})
@@ -37,6 +40,11 @@ def test_commands_need_the_token(serve, dispatcher):
         ]
 
     talk(serve(), ask)
+    done = [record.getMessage() for record in caplog.records if '"verb"' in record.getMessage()]
+    assert done == [
+        "web: by the service's own token at 127.0.0.1: "
+        '{"verb": "mark", "request": {"text": "x"}}: {"ok": true, "verb": "mark"}'
+    ]
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
