@@ -5,6 +5,7 @@ wants to send is in its outbox. A new session per connection, so no stale buffer
 """
 
 import logging
+import re
 import threading
 import time
 from collections import Counter
@@ -143,7 +144,9 @@ def run_link(
 
 
 class ErrorLog:
-    """Warns of each loss of a link that worked, and of each new error; not of the same one at each retry."""
+    """Warns of each loss of a link that worked, and of each new error; not of the same one at each retry, nor
+    where its figures alone are others.
+    """
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -152,14 +155,15 @@ class ErrorLog:
     def add(self, error: Exception, wait_s: float, worked: bool) -> None:
         """worked: frames came on the connection that ended so."""
         text, cause = str(error), None
-        if not worked and text == self._reported:
+        kind = re.sub(r"\d+", "#", text)
+        if not worked and kind == self._reported:
             level = logging.DEBUG
         elif isinstance(error, UnforeseenError):
             level, cause = logging.ERROR, error.__cause__
         else:
             level = logging.WARNING
         log.log(level, "%s: %s; reconnecting in %.2g s", self._name, text, wait_s, exc_info=cause)
-        self._reported = text
+        self._reported = kind
 
 
 def _report(health: LinkHealth, error: Exception, wait_s: float, log_of_errors: ErrorLog) -> None:

@@ -186,11 +186,14 @@ def test_waits_grow_from_retry_to_retry_and_are_logged_once(caplog):
                 self.set()
             return self.is_set()
 
-    health, _ = run([TransportError("refused")] * 7, [], ImpatientEvent())
+    errors = [TransportError(f"{number * 12} bytes but no frame") for number in range(7)]
+    health, _ = run(errors, [], ImpatientEvent())
     assert waits == [0.25, *[0.5] * 6]
     warnings = [record for record in caplog.records if record.levelname == "WARNING"]
-    assert [record.getMessage() for record in warnings] == ["front: refused; reconnecting in 0.25 s"]
-    assert health.last_error == "refused; reconnecting in 0.5 s"
+    assert [record.getMessage() for record in warnings] == [
+        "front: 0 bytes but no frame; reconnecting in 0.25 s"
+    ]
+    assert health.last_error == "72 bytes but no frame; reconnecting in 0.5 s"
 
 
 def test_each_loss_of_a_link_that_worked_is_logged_though_the_error_is_the_same(quick_retries, caplog):
