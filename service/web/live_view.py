@@ -40,7 +40,7 @@ MAX_EVENTS = 100
 FRAMES = ("scan", "imu", "odom", "fix")  # what a sensor gives
 # Counted in health, many a second.
 UNREPORTED = (encoding.APPLY_RESULT, "scan_passed_over", "frame_refused", "frame_left_out")
-MAX_WAITING_STRETCHES = 200  # that wait to be shown
+MAX_PATH_PARTS = 200  # that wait to be shown
 PATH_STEP_M = 0.05
 # A pose farther away than a vehicle can have come: it was found elsewhere, and the path begins again there.
 JUMP_M, FASTEST_MPS = 1.0, 20.0  # map_view.js has them, too
@@ -119,7 +119,7 @@ class _Streams:
     events: deque[encoding.Message] = field(default_factory=lambda: deque(maxlen=MAX_EVENTS))
     latencies_ns: deque[int] = field(default_factory=lambda: deque(maxlen=1000))
     path: FloatArray | None = None  # in place of the path so far
-    stretches: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=MAX_WAITING_STRETCHES))  # after it
+    stretches: deque[FloatArray] = field(default_factory=lambda: deque(maxlen=MAX_PATH_PARTS))  # after it
     ready: dict[str, Payload] = field(default_factory=dict)  # by key
 
 
