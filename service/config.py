@@ -24,6 +24,7 @@ from service.located_yaml import Document, Fault, load
 from service.located_yaml import Path as KeyPath
 from service.mapper.profiles import MappingConfig, begins_in_stored, mapping_model
 from service.publishing.config import PublishingConfig, Ros2Config
+from service.publishing.keys import MAX_NAME_LENGTH, NAME_RULE, is_name
 from service.publishing.ros2_names import own_topics
 from service.recording.choice import Choice
 from service.sensor_kinds import SENSOR_KINDS
@@ -33,9 +34,6 @@ from service.suggestion import suggest, unknown_key
 if TYPE_CHECKING:  # a live service reads no recording
     from service.recording.mcap_reader import Readable
 
-NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")  # a chunk of a Zenoh key and a ROS 2 name at once
-NAME_RULE = "lower-case letters, digits and single _ in between, a letter first, at most 32 of them"
-MAX_NAME_LENGTH = 32
 _ANY_ADDRESS = frozenset(("0.0.0.0", "::"))
 # Taken by frames, topics and keys of the service itself.
 RESERVED_NAMES = frozenset(
@@ -369,8 +367,8 @@ def _section(root: Mapping[str, Any], key: str) -> Any:
 
 
 def _name_fault(name: str) -> str:
-    if NAME.fullmatch(name) and len(name) <= MAX_NAME_LENGTH:
+    if is_name(name):
         return ""
     offer = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")[:MAX_NAME_LENGTH]
-    example = f"; {offer} would do" if NAME.fullmatch(offer) else ""
+    example = f"; {offer} would do" if is_name(offer) else ""
     return f'"{name}" becomes part of Zenoh keys and ROS names, so it takes {NAME_RULE}{example}'

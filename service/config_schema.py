@@ -11,8 +11,8 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from service.config import MAX_NAME_LENGTH, NAME, NAME_RULE
 from service.mapper.profiles import METHODS, MappingConfig, mapping_model
+from service.publishing.keys import MAX_NAME_LENGTH, NAME, NAME_RULE
 from service.recording.choice import Choice
 from service.sensor_kinds import SENSOR_KINDS
 from service.sinks.registry import SINKS

@@ -20,7 +20,7 @@ from service.api.poses import Pose, pose_in_message
 from service.encoding import LASER_SCAN, TILES, decode_frame, decode_grid
 from service.errors import CorridorError, InputError, StorageError, UsageError
 from service.outputs import TileUpdate
-from service.publishing.keys import vehicle_key
+from service.publishing.keys import NAME_RULE, is_name, vehicle_key
 
 log = logging.getLogger(__name__)
 
@@ -214,11 +214,15 @@ def subscribe(
     vehicle     name of the vehicle; "*": every one that the endpoint knows
     timeout_s   how long to wait for the next before an error; None: for ever
 
-    Raises StorageError where nothing answers at the endpoint.
+    Raises StorageError where nothing answers at the endpoint, UsageError.
     """
     chosen: Sequence[What] = [what] if isinstance(what, str) else what
     if unknown := [one for one in chosen if one not in get_args(What)]:
         raise UsageError(f"{unknown[0]!r} cannot be subscribed to; take {', '.join(get_args(What))}")
+    if not chosen:
+        raise UsageError(f"nothing is subscribed to; take {', '.join(get_args(What))}")
+    if vehicle != "*" and not is_name(vehicle):
+        raise UsageError(f"{vehicle!r} is no name of a vehicle; it takes {NAME_RULE}")
     session = _connect(endpoint) if isinstance(endpoint, str) else endpoint
     return Subscription(session, vehicle, chosen, timeout_s)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from service.archive import path_or_url
+from service.publishing.keys import NAME_RULE, is_name
 
 METHODS = Path(__file__).parents[1] / "mapper" / "methods"  # a folder for each profile
 WORLDS = (
@@ -58,6 +59,12 @@ def port(text: str) -> int:
     if not 1 <= value <= 65535:
         raise argparse.ArgumentTypeError(f"{text} is no port; 1 to 65535")
     return value
+
+
+def vehicle_name(text: str) -> str:
+    if not is_name(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no name of a vehicle; it takes {NAME_RULE}")
+    return text
 
 
 def _number(text: str, kind: type[Number]) -> Number:

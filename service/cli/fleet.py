@@ -9,7 +9,7 @@ from contextlib import closing
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from service.cli.argument_types import local_path, map_and_version, positive
+from service.cli.argument_types import local_path, map_and_version, positive, vehicle_name
 from service.cli.console import print_result, progress
 from service.errors import CorridorError, StorageError, words_of
 from service.log_format import printable
@@ -39,7 +39,9 @@ def add_fleet(commands: Any, add: Add) -> None:
     status = add(
         works, "status", "state, pose, map, disk and version of each vehicle; 1 where one is not well"
     )
-    status.add_argument("vehicles", nargs="*", metavar="VEHICLE", help="that must be there (default: all)")
+    status.add_argument(
+        "vehicles", nargs="*", type=vehicle_name, metavar="VEHICLE", help="that must be there (default: all)"
+    )
     watch = add(works, "watch", "a line with each change, until Ctrl-C; with --json with each health message")
     watch.add_argument("--seconds", type=positive, metavar="S", help="end after S seconds")
     page = add(works, "page", "all vehicles on one map, on the operator's page, until Ctrl-C")
@@ -55,14 +57,14 @@ def add_fleet(commands: Any, add: Add) -> None:
     pull = add(
         works, "pull", "fetch the finished recordings of vehicles, oldest first; goes on where it ended"
     )
-    pull.add_argument("vehicles", nargs="*", metavar="VEHICLE", help="default: all")
+    pull.add_argument("vehicles", nargs="*", type=vehicle_name, metavar="VEHICLE", help="default: all")
     pull.add_argument(
         "--out", type=local_path, required=True, metavar="DIR", help="a folder for each vehicle in it"
     )
     pull.add_argument("--limit-mb-s", type=positive, metavar="MB", help="of each vehicle's link, at most")
     push = add(works, "push", "bring a stored map to vehicles; all begin in it, or none stays in it")
     push.add_argument("map", type=map_and_version, metavar="MAP[@VERSION]", help="its folder")
-    push.add_argument("vehicles", nargs="+", metavar="VEHICLE")
+    push.add_argument("vehicles", nargs="+", type=vehicle_name, metavar="VEHICLE")
     push.add_argument("--name", metavar="NAME", help="of the map there (default: FOLDER_vVERSION)")
     for one in (status, watch, page, pull, push):
         one.add_argument(

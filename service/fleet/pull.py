@@ -50,10 +50,10 @@ def pull(
     vehicle has.
     """
     folder = out / vehicle
-    folder.mkdir(parents=True, exist_ok=True)
     listed = {str(one["name"]): int(one["bytes"]) for one in ask_json(session, vehicle, RECORDINGS)}
     if unsafe := [name for name in listed if Path(name).name != name or not name.endswith(".mcap")]:
         raise InputError(f"{vehicle}: {unsafe[0]!r} is no name of a recording")
+    folder.mkdir(parents=True, exist_ok=True)
     there = [name for name, size in listed.items() if _size(folder / name) == size]
     missing = {name: size for name, size in listed.items() if name not in there}
     lines = _pull_journal(session, vehicle, folder / JOURNAL_FILE, pause_s)

@@ -144,3 +144,12 @@ def test_a_message_that_cannot_be_read_is_in_the_log(publisher, subscribed, capl
     assert isinstance(came, corridor.Pose)
     assert came.stamp_ns == 2
     assert "corridor/v1/veh1/pose" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("what", "vehicle", "words"),
+    [("pose", "", "'' is no name of a vehicle"), ("pose", "veh1/#", "no name"), ([], "*", "nothing is subs")],
+)
+def test_what_cannot_be_a_key_is_refused_before_a_connection_is_made(what, vehicle, words):
+    with pytest.raises(corridor.UsageError, match=words):
+        corridor.subscribe("tcp/127.0.0.1:1", what, vehicle=vehicle)

@@ -115,6 +115,15 @@ def test_the_command_says_what_it_fetched_and_asks_a_vehicle_that_is_named_twice
     fetched = json.loads(capsys.readouterr().out)["vehicles"]["veh1"]
     assert (fetched["fetched"], fetched["bytes"]) == (sorted(SIZES), sum(SIZES.values()))
     assert code_of([*command[:2], "veh7", *command[4:]]) == 74
+    assert not (tmp_path / "out" / "veh7").exists()
+
+
+@pytest.mark.parametrize("name", ["a//b", "*", "veh1?x", "Veh 1"])
+@pytest.mark.parametrize("work", [["pull", "--out", "out"], ["push", "map"], ["status"]])
+def test_what_is_no_name_of_a_vehicle_is_wrong_usage(work, name, capsys):
+    """Zenoh refuses some as keys, and takes others for all vehicles."""
+    assert code_of(["fleet", *work, name]) == 64
+    assert "is no name of a vehicle; it takes lower-case letters" in capsys.readouterr().err
 
 
 def test_a_disk_that_refuses_keeps_no_other_vehicle_back(
