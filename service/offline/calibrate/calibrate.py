@@ -142,6 +142,8 @@ def calibrate(
             f"--reference {reference}: no laser of this recording; it has {' and '.join(lasers)}"
         )
     tracks, wheels, gyros, notes = _tracks(session, lasers, progress)
+    for loss in session.losses:
+        log.warning("%s", loss)
     if reference is None:
         reference = next((name for name in lasers if name in tracks), None)
     if reference is None or reference not in tracks:

@@ -11,13 +11,15 @@ import yaml
 
 from service.cli import main
 from service.config import load_config
-from service.errors import ConfigError, UsageError
+from service.errors import ConfigError, InputError, UsageError
 from service.geometry.se2 import SE2
 from service.offline.calibrate import calibrate
 from service.offline.calibrate.tracks import LaserMapping
 from service.offline.importing.session_file import write_session
 from simulators.truth import LMS100, UTM30LX, Ride
 from tests.service.offline.calibrate.drives import Vehicle, frames_of, one_laser, to_both_sides
+from tests.service.recording.bags import write_ros1
+from tests.service.recording.sessions import drive
 from tests.simulated import Wheels
 
 FRONT = SE2(0.24, -0.05, math.radians(3.0))
@@ -191,6 +193,13 @@ def test_wrong_usage_is_refused_and_the_session_stays(session, tmp_path, capsys,
     assert main(["calibrate", str(session), *options]) == UsageError.exit_code
     assert words in capsys.readouterr().err
     assert session.read_bytes() == before
+
+
+def test_what_could_not_be_read_of_a_recording_is_a_warning(tmp_path, capsys):
+    bag = write_ros1(tmp_path / "drive.bag", drive(20))
+    bag.write_bytes(bag.read_bytes()[:-1000])
+    assert main(["calibrate", str(bag)]) == InputError.exit_code  # of so few scans
+    assert "drive.bag was not closed, or is cut off or damaged" in capsys.readouterr().err
 
 
 def test_a_laser_that_cannot_be_calibrated_is_reported_beside_the_others(frames, tmp_path, capsys):
