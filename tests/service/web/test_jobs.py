@@ -4,6 +4,7 @@ tests/browser/test_edit_live.py.
 
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -70,6 +71,6 @@ def test_a_command_ends_with_the_service_and_none_begins_after_it(monkeypatch):
     with pytest.raises(ResourceError, match="the service is stopping"):
         running.result(20.0)
     assert not children() - others
-    monkeypatch.setattr(jobs.subprocess, "Popen", lambda *_, **__: pytest.fail("a process is begun"))
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process is begun"))
     with pytest.raises(ResourceError, match="the service is stopping"):
         process.run("export")
