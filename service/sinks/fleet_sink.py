@@ -153,8 +153,10 @@ class FleetSink(Sink):
                 token = session.liveliness().declare_token(own.key(self._context.vehicle))
                 if before is not None:
                     before.undeclare()  # type: ignore[no-untyped-call]
-            if source and (self._wake.is_set() or source != decided_for):
+            if self._wake.is_set():  # decided again once there is a link
                 self._wake.clear()
+                decided_for = ""
+            if source and source != decided_for:
                 self._decide(session, own, watched)
                 decided_for = source
             self._write_journal()

@@ -1,10 +1,12 @@
 """A vehicle's link to its site over loopback: what goes over it, and when it is refused."""
 
 import time
+from collections import Counter
 
 from service.encoding import ERROR, OK, encode_frame, encode_pose
 from service.publishing.commands import Answer
 from service.publishing.uplink import PRESENCES, presences
+from service.sinks.fleet_sink import LOOK_S, FleetSink
 from tests.service.fleet.conftest import diagnostics, is_in_fleet
 from tests.service.mapstore.tile_makers import tile
 from tests.service.publishing.conftest import Inbox
@@ -91,6 +93,24 @@ def test_a_lost_link_comes_back_with_what_was_declared(endpoint, start_router, s
     assert sink.health().values["links"] == "2"
     client = open_client(endpoint)
     wait_until(lambda: answers(client) == ["{}"])
+
+
+def test_a_vehicle_without_its_router_looks_for_it_once_a_second(
+    endpoint, start_router, start_vehicle, monkeypatch
+):
+    """The router's end is a change of who is in the fleet, which is decided once it is back: until then the
+    thread must not take the processor from those that read devices.
+    """
+    looks, look = Counter(), FleetSink._look
+    monkeypatch.setattr(FleetSink, "_look", lambda self, *link: (looks.update([link[0]]), look(self, *link)))
+    router = start_router(endpoint)
+    sink = start_vehicle(endpoint)
+    router.close()
+    wait_until(lambda: looks[""] >= 2)
+    began_s = time.monotonic()
+    start_router(endpoint)
+    wait_until(lambda: sink.health().level == OK)
+    assert looks[""] <= 10 + 2 * (time.monotonic() - began_s) / LOOK_S
 
 
 def test_of_two_vehicles_by_one_name_the_later_is_refused_with_both_addresses(
