@@ -163,6 +163,7 @@ def _away(router_file: Path, site: PublishingConfig, count: int) -> list[Row]:
             seconds, after = time.monotonic() - began_s, _sent(session)
             behind = _values(session, "mapping", "behind_s")
     rate = max(after[name] - sent[name] for name in sent) / seconds
+    assert max(behind.values()) < 2.0, f"mapping waits for the link: {behind}"
     return [
         (f"router away {AWAY_S:.0f} s: all back after", back_s, "s"),
         ("uplink then without a subscriber, most", rate / 1e3, "kB/s"),
