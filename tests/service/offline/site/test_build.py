@@ -4,9 +4,9 @@ import errno
 import json
 import math
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain, pairwise, repeat
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -14,35 +14,29 @@ import numpy as np
 import pytest
 
 from service.cli import main
-from service.errors import InputError, StorageError, UsageError
+from service.errors import InputError, StorageError
 from service.geometry import poses as se2
 from service.geometry.geo_reference import GeoReference, LocalFrame
 from service.geometry.se2 import SE2
-from service.mapper.graph.edit import merging
 from service.mapper.graph.edit.editing import only
-from service.mapper.graph.loops.loop_back_end import Batch, LoopBackEnd
-from service.mapper.graph.model.keyframe_list import LoopsConfig
-from service.mapper.graph.model.loops import Loop
-from service.mapper.saved_graph import SavedGraph
-from service.mapstore.files import load_map, save_map
+from service.mapstore.files import load_map
 from service.offline.cluster.engines import Ended, in_turn
-from service.offline.cluster.tasks import AnyTask, Done
-from service.offline.maps.work import map_info, utc
-from service.offline.replay.setup import ReplayOptions
+from service.offline.cluster.tasks import AnyTask
 from service.offline.site import growth, kept
-from service.offline.site.build import site_build
 from service.offline.site.manifest import SITE_FILE
 from service.offline.site.tasks import Find, FindLoops
 from tests.service.mapper.graph.loops import rings
-from tests.service.mapstore.tile_makers import tile
+from tests.service.offline.site.ring_drives import (
+    COUNT,
+    FIRST,
+    FRAMES,
+    HOUR_NS,
+    build,
+    driven,
+    names_in,
+    store,
+)
 
-CELL_M = 0.05
-HOUR_NS = 3600 * 10**9
-FRAMES = {"a": SE2(), "b": SE2(3.0, -2.0, 0.7), "c": SE2(-5.0, 1.0, -2.0), "d": SE2(0.5, 0.5, 3.0)}
-FIRST = {"a": 0, "b": 40, "c": 90, "d": 10}  # key frame of the ring that each drive begins with
-BEAMS = 91
-COUNT = 120  # key frames of each, of 153 in a round
-CRATE = (14.1, 4.0, 14.7, 4.7)  # m: from x, y to x, y, beside the path of a and b
 ORIGIN = LocalFrame(48.1, 11.5, 500.0)
 
 
@@ -57,17 +51,8 @@ class Counting:
         yield from reversed(list(in_turn(tasks)))
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _few_beams_and_questions() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rings, "BEAMS", BEAMS)
-        patch.setattr(rings, "STEP_RAD", -2.0 * rings.FIRST_RAD / (BEAMS - 1))
-        patch.setattr(merging, "MAX_PLACES_MISSED", 2)
-        yield
-
-
 @pytest.fixture(scope="module")
-def drives(_few_beams_and_questions: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def drives(few_beams_and_questions: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A stored map of each drive; `elsewhere` of another building."""
     folder = tmp_path_factory.mktemp("drives")
     for seed, name in enumerate(FRAMES):
@@ -79,36 +64,8 @@ def drives(_few_beams_and_questions: None, tmp_path_factory: pytest.TempPathFact
     return folder
 
 
-def driven(name: str, seed: int, begin_ns: int | None = None) -> SavedGraph:
-    frames, _ = rings.key_frames(1.4, seed, turn_error_radpm=0.0005)
-    begin_ns = seed * HOUR_NS if begin_ns is None else begin_ns
-    part = [
-        replace(one, stamp_ns=begin_ns + one.stamp_ns, pose_odom_base=FRAMES[name] @ one.pose_odom_base)
-        for one in frames[FIRST[name] : FIRST[name] + COUNT]
-    ]
-    back_end = LoopBackEnd(LoopsConfig(), None)
-    saved = back_end.work(Batch(part, is_last=True)).saved
-    assert isinstance(saved, SavedGraph)
-    return saved
-
-
-def store(folder: Path, graph: SavedGraph, geo: GeoReference | None = None) -> None:
-    tiles = [replace(tile(0, 0, 3), cell_m=CELL_M)]
-    save_map(folder, tiles, int(graph.stamp_ns.max()), {"profile": "corridor"}, geo, graph)
-
-
-def build(
-    sessions: Sequence[Path], out: Path, engine: Any = in_turn, joined: Sequence[str] = ()
-) -> dict[str, Any]:
-    return site_build(sessions, ReplayOptions(), out, engine, lambda *_: None, joined)
-
-
 def true_pose(k: int) -> SE2:
     return rings.round_the_ring(k * rings.STEP_M)
-
-
-def names_in(report: dict[str, Any]) -> list[str]:
-    return [one["session"] for one in report["sessions"]]
 
 
 def errors_m(out: Path, names: Sequence[str]) -> np.ndarray:
@@ -412,101 +369,6 @@ def test_a_recording_that_cannot_be_read_keeps_no_other_back_and_gives_the_exit_
     assert "bad.mcap is no recording" in report["left_out"]["bad"]
     assert main(command) == InputError.exit_code
     assert main(["site", "build", str(drives / "a"), "--out", str(tmp_path / "site")]) == 0
-
-
-def knowing(tasks: Sequence[AnyTask]) -> Ended:
-    """An engine that does not search: it knows where each drive lies, and ties key frames of one place."""
-    for k, task in enumerate(tasks):
-        assert isinstance(task, Find | FindLoops)
-        whole, begins = task.graphs()
-        if isinstance(task, Find):
-            first = list(FRAMES)[whole.stamp_ns[0] // HOUR_NS]
-            pose = FRAMES[first] @ FRAMES[task.name].inverse()
-            yield k, Done({"pose_first_second": [pose.x_m, pose.y_m, pose.theta_rad]}, {})
-            continue
-        loops: list[list[Loop]] = []
-        true = np.array([true_pose_at(rings.STEP_M * at) for at in whole.stamp_ns % HOUR_NS // 10**8])
-        for begin, end in pairwise(begins):
-            loops.append([])
-            for to in range(begins[-1], len(whole), 10):
-                of = int(np.hypot(*(true[begin:end, :2] - true[to, :2]).T).argmin())
-                measured = se2.between(true[begin + of], true[to])
-                covariance = np.diag([1e-4, 1e-4, 1e-6])
-                loops[-1].append(Loop(of, to - begins[-1], measured, covariance, 0.9, 300, 0.0))
-        yield k, Done({"loops": loops}, {})
-
-
-def boxes_along_the_ring(seed: int, count: int = 24) -> list[tuple[float, float, float, float]]:
-    """At both walls of the corridors."""
-    random = np.random.default_rng(seed)
-    walls = []
-    for path_length_m, side_m in zip(
-        random.uniform(0.0, 46.0, count), random.choice([-0.75, 0.75], count), strict=True
-    ):
-        x_m, y_m, _ = se2.compose(np.array(true_pose_at(path_length_m)), np.array([0.0, side_m, 0.0]))
-        walls += rings.rectangle(x_m - 0.25, y_m - 0.25, x_m + 0.25, y_m + 0.25)
-    return walls
-
-
-def true_pose_at(path_length_m: float) -> tuple[float, float, float]:
-    pose = rings.round_the_ring(path_length_m)
-    return pose.x_m, pose.y_m, pose.theta_rad
-
-
-@pytest.fixture(scope="module")
-def floors(_few_beams_and_questions: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two drives through a floor, between which a crate was put down; and one through another floor: the same
-    corridors with other furniture.
-    """
-    folder = tmp_path_factory.mktemp("floors")
-    corridors, crate = rings.RING[:8], rings.rectangle(*CRATE)
-    this_floor = corridors + boxes_along_the_ring(5)
-    worlds = {"a": this_floor, "b": this_floor + crate, "c": corridors + boxes_along_the_ring(7)}
-    for seed, (name, walls) in enumerate(worlds.items()):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(rings, "RING", walls)
-            patch.setattr(rings, "BEAMS", 361)
-            patch.setattr(rings, "STEP_RAD", -2.0 * rings.FIRST_RAD / 360)
-            store(folder / name, driven(name, seed))
-    return folder
-
-
-@pytest.fixture(scope="module")
-def floor(floors: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    out = tmp_path_factory.mktemp("floor") / "map"
-    return out, build([floors / name for name in ("a", "b", "c")], out, knowing)
-
-
-def test_a_drive_of_another_floor_of_the_plan_is_left_out_by_its_name(floor):
-    _, report = floor
-    assert names_in(report) == ["a", "b"]
-    assert list(report["left_out"]) == ["c"]
-    assert "another floor" in report["left_out"]["c"]
-    assert "--join c adds it" in report["left_out"]["c"]
-
-
-def test_what_was_put_down_between_two_drives_is_a_changed_place_with_its_dates(floor, floors):
-    out, report = floor
-    assert report["changed_places"] == 1
-    [place] = map_info(out)["changed_places"]
-    assert (place["change"], place["session"]) == ("new", "b")
-    assert CRATE[0] <= place["x_m"] <= CRATE[2]
-    assert CRATE[1] <= place["y_m"] <= CRATE[3]
-    stamps = {name: load_map(floors / name).graph.stamp_ns for name in ("a", "b")}
-    expected = {"seen_from": stamps["a"].min(), "seen_to": stamps["a"].max(), "changed": stamps["b"].min()}
-    assert {key: place[key] for key in expected} == {key: utc(int(ns)) for key, ns in expected.items()}
-
-
-def test_a_drive_is_added_in_spite_of_what_changed_where_the_user_says_so(floor, floors, tmp_path):
-    out = Path(shutil.copytree(floor[0], tmp_path / "map", symlinks=True))
-    with pytest.raises(UsageError, match="--join d: no such session"):
-        build([floors / "c"], out, knowing, ["d"])
-    report = build([floors / "c"], out, knowing, ["c"])
-    assert names_in(report) == ["a", "b", "c"]
-    assert report["left_out"] == {}
-    assert len(report["warnings"]) == 1
-    assert report["warnings"][0].startswith("c: of ")
-    assert report["changed_places"] > 10
 
 
 def test_what_a_folder_of_results_has_besides_is_named(drives, tmp_path):
