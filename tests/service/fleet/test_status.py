@@ -102,13 +102,19 @@ def test_what_is_no_health_message_is_a_fault_of_its_vehicle(endpoint, router, o
     assert "cannot be read" in vehicle.faults[0]
 
 
+def watched(client: zenoh.Session) -> tuple[Watch, threading.Thread, list[Vehicle]]:
+    """What the watch shows of changes, for a minute at most."""
+    seen: list[Vehicle] = []
+    watch = Watch(client)
+    thread = threading.Thread(target=watch.run, args=(seen.append, 60.0, True), daemon=True)
+    thread.start()
+    return watch, thread, seen
+
+
 def test_watch_shows_changes_and_a_vehicle_that_goes(endpoint, router, start_vehicle, open_client):
     sink = start_vehicle(endpoint)
     put_health(sink, open_client(endpoint))
-    seen: list[Vehicle] = []
-    watch = Watch(open_client(endpoint))
-    thread = threading.Thread(target=watch.run, args=(seen.append, 60.0, True), daemon=True)
-    thread.start()
+    _, _, seen = watched(open_client(endpoint))
     wait_until(lambda: seen)
     wait_until(lambda: sink.put(diagnostics("lost")) or seen[-1].state == "lost")
     sink.close()
@@ -119,10 +125,7 @@ def test_watch_shows_changes_and_a_vehicle_that_goes(endpoint, router, start_veh
 def test_watch_passes_over_a_fault_whose_figures_alone_change(endpoint, router, start_vehicle, open_client):
     sink = start_vehicle(endpoint)
     put_health(sink, open_client(endpoint))
-    seen: list[Vehicle] = []
-    watch = Watch(open_client(endpoint))
-    thread = threading.Thread(target=watch.run, args=(seen.append, 60.0, True), daemon=True)
-    thread.start()
+    watch, thread, seen = watched(open_client(endpoint))
     words = [f"{count} scans in {count}.5 s were not mapped" for count in (3, 14)]
     for expected, fault in zip((words[0], words[0], "no scan comes"), (*words, "no scan comes"), strict=True):
         row = Status("mapping", WARNING, fault, {"state": "overloaded"})
