@@ -20,7 +20,7 @@ from service.publishing.uplink import PRESENCES, Presence, read_presence
 log = logging.getLogger(__name__)
 
 LOOK_S = 1.0
-FIGURES = re.compile(r"\d+(\.\d+)?")
+FIGURES = re.compile(r"\b\d+(\.\d+)?")  # not those of a name, as laser_2
 Show = Callable[[Vehicle], None]
 
 
