@@ -120,6 +120,17 @@ def killed_with_parent() -> Iterator[None]:
         libc.prctl(PR_SET_PDEATHSIG, none)
 
 
+def wake_when_parent_ends() -> None:
+    """From now on the system continues this process, where it is stopped, when the thread that began it ends.
+
+    One that would end by itself then, or has to take over, does neither while it is stopped. Not inherited by
+    a fork.
+    """
+    import ctypes
+
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGCONT)
+
+
 def _left_to_end_by_themselves() -> set[int]:
     """multiprocessing's tracker takes away the semaphores of those that were killed, then ends."""
     tracker = sys.modules.get("multiprocessing.resource_tracker")

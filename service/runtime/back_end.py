@@ -19,6 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from service.interruption import wake_when_parent_ends
 from service.mapper.background import BackEnd, BackEndDiedError, WorkLostError
 from service.runtime.channel import Channel, ChannelClosedError, End, Listening, wait_for
 from service.runtime.standstill import Standstill
@@ -95,6 +96,7 @@ class BackEndProcess:
         self.pid: int | None = None  # of the process; None where there is none, or it is another's child
         self._worker_pid = 0  # of the process that has the back end
         self.fault = ""  # why it has ended, "" while it works
+        self.stood_still = False  # whether result() gave it up for that
 
     @property
     def ends(self) -> list[End]:
@@ -208,9 +210,8 @@ class BackEndProcess:
         if self.fault:
             raise WorkLostError(self.fault)
         took_s = time.monotonic() - began_s
-        late = (
-            f"the back end did not finish within {took_s:.1f} s{', it stands still' * (still_s >= STILL_S)}"
-        )
+        self.stood_still = still_s >= STILL_S
+        late = f"the back end did not finish within {took_s:.1f} s{', it stands still' * self.stood_still}"
         log.error("%s; what it found last is lost, and the map keeps the graph of the last checkpoint", late)
         raise WorkLostError(late)
 
@@ -367,6 +368,7 @@ def _live(connection: socket.socket, back_end: BackEnd) -> None:
     """The process, from its fork to its end: when the other side is gone."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD):
         signal.signal(number, signal.SIG_IGN)  # signals to the service end it too; copies need not be reaped
+    wake_when_parent_ends()
     # Else a process that waits for the mapper to end would wait for this process, too.
     os.closerange(3, connection.fileno())
     os.closerange(connection.fileno() + 1, os.sysconf("SC_OPEN_MAX"))
@@ -423,6 +425,7 @@ class _Server:
 
     def _move_to(self, path: str) -> None:
         """In the copy: serve the stand-by at the path from now on."""
+        wake_when_parent_ends()
         self._channel.close()
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:

@@ -301,6 +301,8 @@ class MapperLink:
             self._begin(message)
             return
         if isinstance(message, msg.Finished):
+            if message.back_end_stood_still and self._deadline is not None:
+                self._deadline.found_hung()
             self._finished.set()
             return
         if isinstance(message, msg.CanCopy):

@@ -256,6 +256,8 @@ class BackEndDied(NamedTuple):
 class Finished(NamedTuple):
     """Last message of a process that was requested to finish."""
 
+    back_end_stood_still: bool
+
 
 @dataclass(frozen=True, slots=True)
 class Status:

@@ -27,7 +27,7 @@ from service.compile.warm_up import KernelProgress
 from service.compile.warm_up import warm_up as warm_up_kernels
 from service.compile.worker import SeldomKernels
 from service.encoding import warm_up as warm_up_encoding
-from service.interruption import killed_with_parent
+from service.interruption import killed_with_parent, wake_when_parent_ends
 from service.log_format import set_up_logging
 from service.mapper.background import BackEndDiedError
 from service.mapper.mapping_session import MappingSession
@@ -128,7 +128,7 @@ class MapperProcess:
                 if self._is_copy_due():
                     self._copy()
             self._loop.finish()
-            self._say_last(msg.Finished())
+            self._say_last(msg.Finished(self._back_end.stood_still))
         except MapperError as error:
             log.error("the mapper failed: %s", error)
             self._say_last(msg.Failed(error.number, str(error)))
@@ -218,6 +218,7 @@ class MapperProcess:
 
     def _stand_by(self, mapper_pid: int) -> None:
         """In the copy of a mapper: wait until it is needed. What that had not taken yet will come again."""
+        wake_when_parent_ends()
         self._channel.close()
         self._items.clear()
         self._is_finishing = False
@@ -301,6 +302,7 @@ def main() -> int:
         config = mapping_config(dict(setup.mapping))
         if facts is None or config.model_dump() != facts.model_dump():  # == compares classes, made for each
             left = _load(channel)
+        wake_when_parent_ends()
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # stand-bys end when no one needs them any more
         gc.collect()
         gc.freeze()  # these objects live as long as the process; a full collection would stall a scan

@@ -1,4 +1,4 @@
-"""SIGTERM while processes of the service stand still."""
+"""The end of a service while its processes stand still."""
 
 import os
 import signal
@@ -7,15 +7,19 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from service.deadline import HUNG_S
 from tests.processes import alive, look_at
 from tests.system.machine import PATIENCE_S, LiveService, free_port
+from tests.waiting import wait_until
 
 EXIT_S = 7.0  # of an interpreter on a busy machine; 0.3 s on an idle one
 
 
-def test_the_service_ends_in_time_and_nothing_of_it_lives_on_where_all_its_processes_are_stopped(
-    tmp_path: Path,
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_nothing_of_a_service_that_is_ended_lives_on_where_all_of_its_processes_are_stopped(
+    tmp_path: Path, number: signal.Signals
 ):
     service = LiveService(
         tmp_path, {"front": {"type": "sick_lms100", "host": "127.0.0.1", "port": free_port()}}
@@ -35,10 +39,11 @@ def test_the_service_ends_in_time_and_nothing_of_it_lives_on_where_all_its_proce
         for pid in its:
             os.kill(pid, signal.SIGSTOP)
         began_s = time.monotonic()
-        process.terminate()
-        _, log = process.communicate(timeout=PATIENCE_S)  # until stdout is closed, too
+        process.send_signal(number)
+        _, log = process.communicate(timeout=PATIENCE_S)  # until stdout is closed, too, which they all have
         assert time.monotonic() - began_s < HUNG_S + EXIT_S, log
-        assert (process.returncode, [pid for pid in its if look_at(pid)]) == (1, []), log
+        assert process.returncode == (0 if number == signal.SIGTERM else -number), log  # nothing is lost
+        wait_until(lambda: not any(map(look_at, its)), words="they live on")
     finally:
         for pid in filter(look_at, its):
             os.kill(pid, signal.SIGKILL)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import NO_INTENSITY, Frame, LaserScan, OdometrySample
-from service.deadline import SAVE_S, Deadline
+from service.deadline import HUNG_S, Deadline
 from service.encoding import decode_pose, encode_frame
 from service.geometry.se2 import SE2
 from service.runtime import mapper_link, standstill
@@ -419,9 +419,22 @@ def test_everything_ends_with_the_link(drive: Drive, is_stopped: bool):
     for pid in pids if is_stopped else []:
         os.kill(pid, signal.SIGSTOP)
     deadline = Deadline()
-    assert drive.link.finish(deadline) is not is_stopped
-    assert (deadline.left_s <= SAVE_S) is is_stopped  # else it would be most of a minute
+    assert drive.link.finish(deadline)  # the end of a stopped mapper wakes its stand-by
+    assert (deadline.left_s <= HUNG_S) is is_stopped  # else it would be most of a minute
     drive.stop()
     for pid in pids:
         drive.until(lambda pid=pid: not is_there(pid))
     assert not folder.exists()
+
+
+def test_a_back_end_that_stands_still_shortens_the_end(drive: Drive):
+    drive.start().scan(3)
+    drive.until_mapped()
+    drive.until(lambda: drive.link.standby_pid != 0)
+    for one in alive():
+        if one.parent == drive.link.pid and one.pid != drive.link.standby_pid:
+            os.kill(one.pid, signal.SIGSTOP)
+    deadline = Deadline()
+    assert drive.link.finish(deadline)
+    assert "it stands still" in drive.heard.graph_fault
+    assert deadline.left_s <= HUNG_S
