@@ -22,6 +22,8 @@ if TYPE_CHECKING:  # they take long to import
 
 log = logging.getLogger(__name__)
 
+LOOK_S = 3600.0  # from one look at the router's certificate to the next
+
 Add = Callable[[Any, str, str], argparse.ArgumentParser]
 
 
@@ -94,6 +96,7 @@ def fleet(parsed: argparse.Namespace) -> int:
 def _router(parsed: argparse.Namespace) -> int:
     from service.config import load_publishing
     from service.fleet.router import start_router, zenohd_config
+    from service.publishing.certificate import validity_of
     from service.publishing.session import listened_at
     from service.runtime.signals import StopSignals
 
@@ -101,10 +104,15 @@ def _router(parsed: argparse.Namespace) -> int:
     if parsed.zenohd:
         print(zenohd_config(config), end="")
         return 0
+    validity = validity_of(config.secured)
     with StopSignals() as stop, closing(start_router(config)) as session:
         print_result({"listen": listened_at(session, config), "session": str(session.zid())}, parsed.json)
-        _wait(stop)
-    return 0
+        sys.stdout.flush()
+        while True:
+            if fault := validity.fault():
+                log.warning("%s", fault)
+            if stop.wait(LOOK_S):
+                return 0
 
 
 def _wait(stop: "StopSignals") -> None:

@@ -1,11 +1,12 @@
-"""Whether the service's own certificate is valid now, without the extra `security`."""
+"""Whether an own certificate is valid now, without the extra `security`."""
 
 import ssl
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 
-from service.publishing.security import TlsConfig
+from service.publishing.security import SecurityConfig
 
 NO_CHECK_TIME = 0x200000  # X509_V_FLAG_NO_CHECK_TIME of OpenSSL
 
@@ -15,41 +16,56 @@ class Validity:
     have no fault here: the doctor examines them.
     """
 
-    def __init__(self, tls: TlsConfig | None, unix_s: Callable[[], float] = time.time) -> None:
-        self._path = "" if tls is None else str(tls.certificate)
-        self._span_s = None if tls is None else _span_unix_s(tls)
+    def __init__(
+        self, certificate: Path | None, key: Path | None, unix_s: Callable[[], float] = time.time
+    ) -> None:
+        """PEM files; None: there are none."""
+        self._files = None if certificate is None or key is None else (certificate, key)
+        self._span_s = self._on_disk()
         self._unix_s = unix_s
 
     def fault(self) -> str:
         """Why no other machine can connect, "" where it is valid."""
-        if self._span_s is None:
-            return ""
-        begin_s, end_s = self._span_s
         now_s = self._unix_s()
-        if begin_s <= now_s <= end_s:
+        if self._files is None or self._span_s is None or _holds(self._span_s, now_s):
             return ""
         begin, end, now = (
-            time.strftime("%Y-%m-%d %H:%M", time.gmtime(at_s)) for at_s in (begin_s, end_s, now_s)
+            time.strftime("%Y-%m-%d %H:%M", time.gmtime(at_s)) for at_s in (*self._span_s, now_s)
         )
+        if now_s < self._span_s[0]:
+            remedy = "is the clock right?"
+        elif (on_disk_s := self._on_disk()) is not None and _holds(on_disk_s, now_s):
+            remedy = "the file has been renewed since, restart to use it"
+        else:
+            remedy = "renew it, as by corridor security init, and restart"
         return (
-            f"{self._path} is valid from {begin} to {end} UTC, and it is {now}: no client connects by tls/; "
-            + (
-                "is the clock right?"
-                if now_s < begin_s
-                else "renew it by corridor security init, and restart"
-            )
+            f"{self._files[0]} is valid from {begin} to {end} UTC, and it is {now}: no other machine accepts "
+            f"it; {remedy}"
         )
 
+    def _on_disk(self) -> tuple[float, float] | None:
+        return None if self._files is None else _span_unix_s(*self._files)
 
-def _span_unix_s(tls: TlsConfig) -> tuple[float, float] | None:
+
+def validity_of(security: SecurityConfig | None) -> Validity:
+    """Of the certificate of Zenoh."""
+    tls = None if security is None else security.tls
+    return Validity(None, None) if tls is None else Validity(tls.certificate, tls.key)
+
+
+def _holds(span_s: tuple[float, float], now_s: float) -> bool:
+    return span_s[0] <= now_s <= span_s[1]
+
+
+def _span_unix_s(certificate: Path, key: Path) -> tuple[float, float] | None:
     """From when to when it is valid, as a client learns it in a handshake; None where there is none."""
     client, server = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     client.check_hostname = False
-    client.verify_flags = ssl.VerifyFlags(client.verify_flags | NO_CHECK_TIME)
+    client.verify_flags = ssl.VerifyFlags(client.verify_flags | NO_CHECK_TIME | ssl.VERIFY_X509_PARTIAL_CHAIN)
     to_client, to_server = ssl.MemoryBIO(), ssl.MemoryBIO()
     try:
-        client.load_verify_locations(tls.ca)
-        server.load_cert_chain(tls.certificate, tls.key, password="")
+        client.load_verify_locations(certificate)
+        server.load_cert_chain(certificate, key, password="")
         asking = client.wrap_bio(to_client, to_server)
         ends = asking, server.wrap_bio(to_server, to_client, server_side=True)
         for end in (*ends, *ends):

@@ -10,6 +10,7 @@ import zenoh
 
 from drivers.zenoh_config import zenoh_config
 from service.errors import StorageError
+from service.publishing.certificate import validity_of
 from service.publishing.config import PublishingConfig
 from service.publishing.keys import ROOT, alive_key
 from service.publishing.security import link_settings
@@ -50,7 +51,8 @@ def open_client(config: PublishingConfig, further: Mapping[str, object] = {}) ->
     except zenoh.ZError as error:
         reason = str(error).partition(" at /")[0]
         is_tls = any(one.startswith("tls/") for one in config.connect)
-        hint = "is it running" + (", and are the certificates of both of one authority?" if is_tls else "?")
+        both = ", and are the certificates of both valid and of one authority" if is_tls else ""
+        hint = validity_of(config.secured).fault() or f"is it running{both}?"
         raise StorageError(f"no router at {', '.join(config.connect)}: {hint} ({reason})") from error
 
 

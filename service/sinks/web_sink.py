@@ -8,6 +8,7 @@ from service.encoding import WARNING, Message, Status
 from service.errors import StorageError
 from service.mapper.profiles import METHODS
 from service.outputs import reason_value
+from service.publishing.certificate import Validity
 from service.publishing.commands import Answer, refusal
 from service.sinks.sink import Sink, SinkContext
 from service.web.access import new_token, state_folder, token_from_file
@@ -32,6 +33,7 @@ class WebSink(Sink):
         self._command = context.command
         self._is_started = False
         self._token_fault = ""
+        self._validity = Validity(config.tls_certificate, config.tls_key)
         path = config.token_file or state_folder() / "web.token"
         self.server = WebServer(
             config,
@@ -57,6 +59,9 @@ class WebSink(Sink):
 
     def health(self) -> Status:
         status = self.server.health()
+        if status.level < WARNING and (fault := self._validity.fault()):
+            values = {**status.values, **reason_value("certificate_not_valid")}
+            return Status(self.name, WARNING, fault, values)
         if self._token_fault and status.level < WARNING:
             values = {**status.values, **reason_value("token_unreadable")}
             return Status(self.name, WARNING, f"commands are refused: {self._token_fault}", values)

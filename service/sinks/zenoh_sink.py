@@ -7,7 +7,7 @@ from dataclasses import replace
 from drivers.link import LinkHealth
 from service.encoding import WARNING, Message, Status, decode_diagnostics
 from service.outputs import TileUpdate, reason_value
-from service.publishing.certificate import Validity
+from service.publishing.certificate import validity_of
 from service.publishing.config import PublishingConfig
 from service.publishing.shared import SharedZenoh
 from service.publishing.zenoh_publisher import ZenohPublisher
@@ -34,7 +34,7 @@ class ZenohSink(Sink):
 
     def __init__(self, config: PublishingConfig, context: SinkContext) -> None:
         self._context = context
-        self._validity = Validity(config.secured.tls if config.secured is not None else None)
+        self._validity = validity_of(config.secured)
         if fault := self._validity.fault():
             log.warning("zenoh: %s", fault)
         self._publisher = ZenohPublisher(

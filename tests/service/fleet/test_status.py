@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ from service.fleet import vehicles as vehicles_module
 from service.fleet.router import zenohd_config
 from service.fleet.vehicles import Vehicle, read_vehicles
 from service.fleet.watch import Watch
+from service.offline.security.authority import Holder, init_site
 from service.publishing.config import PublishingConfig
 from service.publishing.uplink import open_client as open_client_of
 from tests.service.cli.test_commands import code_of
@@ -85,7 +87,7 @@ def test_a_vehicle_that_waits_in_vain_for_its_first_scan_is_not_well(
 
 def test_a_router_that_does_not_answer_is_told_with_what_to_look_at(site):
     tls_only = {"connect": (f"tls/127.0.0.1:{free_port()}",), "security": {"tls": tls(site, "viewer")}}
-    with pytest.raises(StorageError, match="is it running, and are the certificates of both of one"):
+    with pytest.raises(StorageError, match="is it running, and are the certificates of both valid"):
         open_client_of(PublishingConfig.model_validate(tls_only))
 
 
@@ -170,6 +172,19 @@ def test_a_router_that_does_not_say_who_is_there_is_an_error_and_no_empty_fleet(
             wait_until(lambda: list(vehicles_module.present(session)) == ["veh1"])
         process.send_signal(signal.SIGTERM)
         assert process.wait(20.0) == 0
+
+
+def test_a_router_whose_certificate_has_expired_says_so(endpoint, tmp_path):
+    init_site(tmp_path, [Holder("router", "operator", ())], 30, now=datetime.now(UTC) - timedelta(days=40))
+    security = {"tls": tls(tmp_path, "router")}
+    path = tmp_path / "router.yaml"
+    path.write_text(json.dumps({"publishing": {"listen": [endpoint], "security": security}}))
+    command = [sys.executable, "-m", "service", "fleet", "router", str(path)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert "router.pem is valid from" in process.stderr.readline()
+        finally:
+            process.kill()
 
 
 def test_the_config_for_zenohd_refuses_unknown_clients_and_viewers_as_our_router_does(

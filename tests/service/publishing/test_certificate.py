@@ -4,10 +4,11 @@ from pathlib import Path
 import pytest
 
 from service.encoding import OK, WARNING
+from service.errors import StorageError
 from service.offline.security.authority import Holder, init_site
 from service.publishing.certificate import Validity
 from service.publishing.config import PublishingConfig
-from service.publishing.security import TlsConfig
+from service.publishing.uplink import open_client
 from service.sinks.zenoh_sink import ZenohSink
 from tests.service.publishing.conftest import tls
 from tests.service.sinks.contexts import sink_context
@@ -17,19 +18,34 @@ DAY_S = 86_400.0
 
 @pytest.mark.parametrize(
     ("off_days", "words"),
-    [(0, ""), (29, ""), (31, "renew it by corridor security init"), (-20_000, "is the clock right?")],
+    [(0, ""), (29, ""), (31, "renew it, as by corridor security init"), (-20_000, "is the clock right?")],
 )
 def test_a_certificate_has_a_fault_where_it_is_not_valid_by_the_clock(site: Path, off_days: int, words: str):
-    config = TlsConfig.model_validate(tls(site, "veh1"))
     now_s = datetime.now(UTC).timestamp() + off_days * DAY_S
-    fault = Validity(config, lambda: now_s).fault()
+    fault = Validity(site / "veh1.pem", site / "veh1.key", lambda: now_s).fault()
     assert words in fault
     assert bool(fault) == bool(words)
 
 
 def test_one_that_openssl_refuses_and_none_have_no_fault_here(site: Path):
-    other = TlsConfig.model_validate({**tls(site, "veh1"), "ca": str(site / "other" / "ca.pem")})
-    assert Validity(other).fault() == Validity(None).fault() == ""
+    assert Validity(site / "veh1.pem", site / "ca.key").fault() == Validity(None, None).fault() == ""
+
+
+def test_one_that_was_renewed_on_the_disk_after_the_start_needs_a_restart_alone(tmp_path: Path):
+    vehicle = [Holder("veh1", "vehicle", ("localhost",))]
+    init_site(tmp_path, vehicle, 30, now=datetime.now(UTC) - timedelta(days=40))
+    validity = Validity(tmp_path / "veh1.pem", tmp_path / "veh1.key")
+    assert "renew it" in validity.fault()
+    init_site(tmp_path, vehicle, 30)
+    assert "the file has been renewed since, restart to use it" in validity.fault()
+
+
+def test_a_client_whose_own_certificate_has_expired_says_so(tmp_path: Path):
+    init_site(tmp_path, [Holder("anna", "operator", ())], 30, now=datetime.now(UTC) - timedelta(days=40))
+    security = {"tls": tls(tmp_path, "anna")}
+    config = PublishingConfig.model_validate({"connect": ("tls/127.0.0.1:1",), "security": security})
+    with pytest.raises(StorageError, match=r"no router at .*anna\.pem is valid from .* no other machine"):
+        open_client(config)
 
 
 def test_health_has_a_warning_where_clients_refuse_the_certificate(
@@ -48,4 +64,4 @@ def test_health_has_a_warning_where_clients_refuse_the_certificate(
         sink.close()
         assert row.level == (WARNING if days == 30 else OK)
         assert (row.values.get("reason_id") == "certificate_not_valid") == (days == 30)
-    assert "no client connects by tls/" in caplog.text
+    assert "no other machine accepts it" in caplog.text

@@ -1,5 +1,9 @@
+from datetime import UTC, datetime, timedelta
+
 import pytest
 
+from service.encoding import OK, WARNING
+from service.offline.security.authority import Holder, init_site
 from service.publishing.commands import Answer
 from service.sinks.web_sink import open_sink
 from service.web.config import WebConfig
@@ -13,8 +17,8 @@ def open_page(tmp_path):
     """Opens a sink on any free port, its token in the file that is given."""
     opened = []
 
-    def open_one(token_file=tmp_path / "web.token", **context):
-        config = WebConfig(listen="127.0.0.1:0", token_file=token_file)
+    def open_one(token_file=tmp_path / "web.token", settings=None, **context):
+        config = WebConfig(listen="127.0.0.1:0", token_file=token_file, **(settings or {}))
         sink = open_sink(config, sink_context(**context))
         assert sink is not None
         opened.append(sink)
@@ -86,3 +90,12 @@ def test_the_token_lies_in_the_folder_of_state(monkeypatch, tmp_path):
     monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path / 'state'}:{tmp_path / 'other'}")
     open_sink(WebConfig(listen="127.0.0.1:0"), sink_context()).close()
     assert (tmp_path / "state" / "web.token").is_file()
+
+
+@pytest.mark.parametrize("days", [30, 90])
+def test_a_certificate_that_has_expired_is_a_warning_for_no_browser_says_it_here(open_page, tmp_path, days):
+    init_site(tmp_path, [Holder("veh1", "vehicle", ())], days, now=datetime.now(UTC) - timedelta(days=40))
+    sink = open_page(settings={"tls_certificate": tmp_path / "veh1.pem", "tls_key": tmp_path / "veh1.key"})
+    row = sink.health()
+    assert row.level == (WARNING if days == 30 else OK)
+    assert ("veh1.pem is valid from" in row.message) == (days == 30)
