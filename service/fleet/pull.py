@@ -43,7 +43,8 @@ def pull(
     progress: Progress = lambda done, total: None,
     pause_s: float = PAUSE_S,
 ) -> Pulled:
-    """Into out/<vehicle>/. One part is requested at a time, behind all else on the vehicle's link.
+    """Into out/<vehicle>/. One part is requested at a time, behind all else on the vehicle's link. Another
+    recording that is there by the same name is kept under a further one.
 
     Raises RefusedError; StorageError where the vehicle does not answer any more, OSError where the disk
     refuses: what has come stays, and the next call goes on there; InputError where a file is not what the
@@ -75,6 +76,7 @@ def pull(
                 if limit_bytes_per_s is not None:
                     time.sleep(max(fetched_bytes / limit_bytes_per_s - (time.monotonic() - began_s), 0.0))
         _check(part, _requested_again(session, vehicle, f"{RECORDINGS}/{name}?sha256=1", pause_s).decode())
+        _keep(folder / name)
         os.replace(part, folder / name)
         sync(folder)
         done += size
@@ -139,6 +141,14 @@ def _check(part: Path, expected: str) -> None:
         raise InputError(
             f"{part}: SHA-256 {found}, the vehicle's file has {expected}; removed, fetch it again"
         )
+
+
+def _keep(path: Path) -> None:
+    """Another recording by that name stays: of a vehicle whose clock begins anew at each boot, say."""
+    if path.exists():
+        kept = path.with_name(f"{path.stem}_of_{path.stat().st_mtime_ns}{path.suffix}")
+        path.rename(kept)
+        log.warning("%s was here, of another size than the vehicle's: it is kept as %s", path, kept.name)
 
 
 def _size(path: Path) -> int | None:

@@ -131,7 +131,11 @@ class FleetFiles:
         if parameters.get("commit"):
             if is_map_folder(folder):
                 raise InputError(f"{names[0]}: this vehicle has such a map already")
-            adopt_version(folder, incoming)
+            try:
+                adopt_version(folder, incoming)
+            except InputError:
+                shutil.rmtree(incoming)  # the next push would go on with what is damaged
+                raise
             shutil.rmtree(incoming)
         return _answer({"files": sums_of(folder)})
 

@@ -60,6 +60,21 @@ def test_a_file_with_another_checksum_is_an_error_and_removed(
     assert not (part.parent / name).exists()
 
 
+def test_another_recording_by_the_same_name_is_kept(
+    vehicle, endpoint, open_client, recordings, tmp_path, caplog
+):
+    """A vehicle whose clock begins anew at each boot gives a name twice, once its first file is removed."""
+    name = min(SIZES)
+    archived = tmp_path / "out/veh1" / name
+    archived.parent.mkdir(parents=True)
+    archived.write_bytes(b"of an earlier day")
+    assert name in pull(open_client(endpoint), "veh1", tmp_path / "out").fetched
+    assert archived.read_bytes() == (recordings / name).read_bytes()
+    (kept,) = archived.parent.glob(f"{archived.stem}_of_*.mcap")
+    assert kept.read_bytes() == b"of an earlier day"
+    assert f"it is kept as {kept.name}" in caplog.text
+
+
 def test_a_lost_link_delays_a_transfer_and_does_not_end_it(
     endpoint, start_router, start_vehicle, recordings, open_client, tmp_path
 ):

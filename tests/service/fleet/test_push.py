@@ -105,6 +105,7 @@ def test_what_is_damaged_in_transfer_does_not_become_a_map(
     with pytest.raises(RefusedError, match="damaged"):
         ask(client, "veh1", f"{MAPS}/{PUSHED}?commit=1")
     assert not (tmp_path / "veh1" / PUSHED).exists()
+    assert states(push(client, site_map, None, NAMES)) == dict.fromkeys(NAMES, "active")  # it is sent again
 
 
 @pytest.mark.parametrize(
