@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.estimator.motion import PAUSE_NS, Prediction
+from service.geometry.chi2 import CHI2_999_OF_3
 from service.geometry.se2 import SE2
 from service.kernels.beam_likelihood import WALL_SIGMA_M
 from service.kernels.filter_state import STUDENT
@@ -93,10 +94,11 @@ class MovingScene:
         self._degraded_sigma_m = degraded_sigma_m
         self._reckoning = Reckoning()
         self._moves_until_ns = NOTHING_MOVES  # at least
+        self._has_displaced = False  # moving objects, the matches of entire scans
         self._has_moved = False  # part of the scene, in the newest judged scan
         # Since the last observation of motion: accumulated steps from the static match to that of the entire
-        # scan, and path length.
-        self._drift, self._path_length_m = SE2(), 0.0
+        # scan, the variance of odometry beyond its model, and path length.
+        self._drift, self._drift_m2, self._drift_rad2, self._path_length_m = SE2(), 0.0, 0.0, 0.0
         self._moving_path_m = 0.0  # by odometry, since part of the scene began to move
 
     def match(self, attempt: Attempt, submap: Submap) -> Aligned | None:
@@ -118,12 +120,15 @@ class MovingScene:
             return None
         conflict = self._reckoning.add(attempt.stamp_ns, attempt.predicted, static.pose)
         if conflict is None:
-            return self._accepted(static, attempt)
-        by_odometry, _share = self._align_static(attempt, _prior_at(conflict, attempt), submap)
-        if conflict.is_turned or self._evidence_nats(attempt, by_odometry, static) + PRIOR_NATS < 0.0:
-            self._moves_until_ns = NOTHING_MOVES
-            return None
-        return self._start(by_odometry, attempt)
+            if self._is_needed(static, attempt):
+                return self._accepted(static, attempt)
+        elif not conflict.is_turned:
+            self._has_displaced = True
+            by_odometry, _share = self._align_static(attempt, _prior_at(conflict, attempt), submap)
+            if self._evidence_nats(attempt, by_odometry, static) + PRIOR_NATS >= 0.0:
+                return self._start(by_odometry, attempt)
+        self._moves_until_ns = NOTHING_MOVES
+        return None
 
     def judge(self, aligned: Aligned, attempt: Attempt) -> Aligned:
         """An accepted match, replaced by that of the static returns where moving ones have displaced it."""
@@ -142,11 +147,14 @@ class MovingScene:
         prior = attempt.prior if conflict is None else _prior_at(conflict, attempt)
         static, share = self._align_static(attempt, prior, aligned.submap)
         is_moving, is_static = _classified(attempt, aligned.submap, aligned.xy_base, aligned.result.pose)
+        self._has_displaced = conflict is not None
+        if not self._is_needed(static, attempt):  # odometry agrees with the entire scan
+            return aligned._replace(is_moving=is_moving)
         if max(share, is_static.mean()) >= MIN_STATIC_SHARE:
             nats = self._evidence_nats(attempt, static, aligned)
             # People ahead in a bare corridor measure how far the vehicle went, but not its heading.
             if conflict is not None and not conflict.is_turned and is_static.mean() >= DECISIVE_SHARE:
-                moves = moves or _decisive_share(is_moving, attempt) >= DECISIVE_SHARE
+                moves = moves or _is_decisive(is_moving, attempt)
             nats += PRIOR_NATS if moves else -PRIOR_NATS
         elif conflict is None:
             return aligned
@@ -181,6 +189,7 @@ class MovingScene:
         ):
             self._reckoning.clear()
             return None
+        self._has_displaced = True
         return self._start(static, attempt)
 
     def is_displaced(self, attempt: Attempt, detached: Aligned) -> bool:
@@ -235,7 +244,7 @@ class MovingScene:
 
     def _moves(self, attempt: Attempt) -> None:
         self._moves_until_ns = attempt.stamp_ns + WINDOW_NS
-        self._drift, self._path_length_m = SE2(), 0.0
+        self._drift, self._drift_m2, self._drift_rad2, self._path_length_m = SE2(), 0.0, 0.0, 0.0
 
     def _accepted(self, static: Aligned, attempt: Attempt) -> Aligned:
         """The static match with Student's weight of the prediction, and its moving returns marked."""
@@ -245,7 +254,7 @@ class MovingScene:
             self._moves(attempt)
         state: State = "ok"
         reason = NO_REASON
-        if static.result.weakest_sigma_m > self._degraded_sigma_m or static.result.used < MIN_CONFIRMING:
+        if not self._is_fixed(static):
             state = "degraded"
             reason = Reason(
                 "scene_moves",
@@ -258,6 +267,18 @@ class MovingScene:
         result = static.result._replace(prior_weight=weight)
         return static._replace(result=result, state=state, reason=reason, is_moving=is_moving)
 
+    def _is_needed(self, static: Aligned, attempt: Attempt) -> bool:
+        """Whether the static returns may replace the entire scan: not where they leave a direction open and
+        the entire scan agrees with odometry.
+        """
+        is_silent = self._reckoning.is_silent or attempt.predicted.is_scan_alone
+        return self._has_displaced or is_silent or self._is_fixed(static)
+
+    def _is_fixed(self, static: Aligned) -> bool:
+        """Whether the static returns alone fix the pose."""
+        result = static.result
+        return result.weakest_sigma_m <= self._degraded_sigma_m and result.used >= MIN_CONFIRMING
+
     def _is_seen_moving(self, aligned: Aligned, attempt: Attempt) -> bool:
         """Whether enough returns move to displace a match: of the returns, or without odometry of the
         information that they give about some direction. In a bare corridor few decide how far it goes along.
@@ -266,22 +287,30 @@ class MovingScene:
         is_dynamic = aligned.submap.on_dynamic(xy_base, pose)
         if is_dynamic.mean() >= OUTLIER_SHARE:
             return True
-        if not self._reckoning.is_silent or is_dynamic.sum() < BEAMS_TOGETHER:
+        if not self._reckoning.is_silent:
             return False
         is_moving, _is_static = _classified(attempt, aligned.submap, xy_base, pose)
-        return _decisive_share(is_moving, attempt) >= DECISIVE_SHARE
+        return _is_decisive(is_moving, attempt)
 
     def _is_drifting(self, static: Aligned, attempt: Attempt) -> bool:
-        """Whether matches of entire scans drift from the static path.
+        """Whether matches of entire scans drift from the static path, farther than odometry errs.
 
         On unknown ground moving objects are not recognised by free space.
         """
         entire = self._align(attempt, attempt.prior.pose, static.submap, False)
         self._drift = self._drift @ (static.pose.inverse() @ entire.pose)
-        self._path_length_m += attempt.predicted.travel_m
-        off_m, off_rad = math.hypot(self._drift.x_m, self._drift.y_m), abs(self._drift.theta_rad)
+        predicted = attempt.predicted
+        step = predicted.increment or by_speed(predicted)
+        excess = 1.0 - 1.0 / max(predicted.odometry_noise, 1.0)
+        self._drift_m2 += excess * step.variance_m2
+        self._drift_rad2 += excess * step.variance_rad2
+        self._path_length_m += predicted.travel_m
         scale = USUAL.odometry_scale_sigma * self._path_length_m
-        return off_m > scale + MATCH_SIGMA_M or off_rad > scale + MATCH_SIGMA_RAD
+        off_m = math.hypot(self._drift.x_m, self._drift.y_m) - math.sqrt(CHI2_999_OF_3 * self._drift_m2)
+        off_rad = abs(self._drift.theta_rad) - math.sqrt(CHI2_999_OF_3 * self._drift_rad2)
+        is_off = off_m > scale + MATCH_SIGMA_M or off_rad > scale + MATCH_SIGMA_RAD
+        self._has_displaced |= is_off and self._is_fixed(static)
+        return is_off
 
 
 def _classified(
@@ -312,12 +341,14 @@ def _classified(
     return is_moving, is_static & ~is_moving
 
 
-def _decisive_share(some: Mask, attempt: Attempt) -> float:
-    """Largest share that some of the returns (N,) have in the information about a direction."""
+def _is_decisive(some: Mask, attempt: Attempt) -> bool:
+    """Whether some returns (N,), one object or more, give most of the information about a direction."""
+    if some.sum() < BEAMS_TOGETHER:
+        return False
     xy, (nx, ny, weight) = attempt.points.xy_base, attempt.normals.T
     rows = np.sqrt(weight)[:, None] * np.column_stack((nx, ny, xy[:, 0] * ny - xy[:, 1] * nx))
     shares = np.linalg.eigvals(np.linalg.pinv(rows.T @ rows) @ (rows[some].T @ rows[some]))
-    return float(shares.real.max())
+    return bool(shares.real.max() >= DECISIVE_SHARE)
 
 
 def _is_on_wall(residual_m: Matrix) -> Mask:
