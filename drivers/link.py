@@ -8,7 +8,7 @@ import logging
 import re
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
@@ -46,6 +46,7 @@ RawTee = Callable[[RawChunk], None]
 READ_TIMEOUT_S = 0.02  # how often a session's timers run when the wire is silent
 FIRST_RETRY_S, LAST_RETRY_S = 0.25, 0.5  # back-off after a lost link: a device is to be back within 2 s
 DEVICE_ERROR_RETRY_S = 10.0
+MAX_REPORTED = 8  # different errors
 PROVEN_AFTER_S = 5.0  # a link that lived this long starts its back-off again
 CLOCK_KNOWN_NS = 2_000_000  # standard deviation of a stamp that is handed on; 2 mm at 1 m/s
 CLOCK_PATIENCE_NS = 2_000_000_000  # after the first frame; then frames are handed on with any deviation
@@ -144,26 +145,29 @@ def run_link(
 
 
 class ErrorLog:
-    """Warns of each loss of a link that worked, and of each new error; not of the same one at each retry, nor
-    where its figures alone are others.
+    """Warns of each loss of a link that worked, and of each new error; not of one of the last MAX_REPORTED at
+    each retry (two may alternate), nor where its figures alone are others.
     """
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._reported = ""
+        self._reported: deque[str] = deque(maxlen=MAX_REPORTED)  # since it worked
 
     def add(self, error: Exception, wait_s: float, worked: bool) -> None:
         """worked: frames came on the connection that ended so."""
         text, cause = str(error), None
         kind = re.sub(r"\d+", "#", text)
-        if not worked and kind == self._reported:
+        if worked:
+            self._reported.clear()
+        if kind in self._reported:
             level = logging.DEBUG
         elif isinstance(error, UnforeseenError):
             level, cause = logging.ERROR, error.__cause__
         else:
             level = logging.WARNING
         log.log(level, "%s: %s; reconnecting in %.2g s", self._name, text, wait_s, exc_info=cause)
-        self._reported = kind
+        if kind not in self._reported:
+            self._reported.append(kind)
 
 
 def _report(health: LinkHealth, error: Exception, wait_s: float, log_of_errors: ErrorLog) -> None:

@@ -196,6 +196,15 @@ def test_waits_grow_from_retry_to_retry_and_are_logged_once(caplog):
     assert health.last_error == "72 bytes but no frame; reconnecting in 0.5 s"
 
 
+def test_errors_that_alternate_are_logged_once_each(quick_retries, caplog):
+    """Of a cable that is out, connecting fails by time-out and by "no route to host" in turn."""
+    stop = threading.Event()
+    turns = [TransportError(words) for words in ("timed out", "no route") * 3]
+    run([*turns, StoppableTransport([b"d"], stop)], [EchoSession()], stop)
+    warned = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert [text.partition(";")[0] for text in warned] == ["front: timed out", "front: no route"]
+
+
 def test_each_loss_of_a_link_that_worked_is_logged_though_the_error_is_the_same(quick_retries, caplog):
     stop, gone = threading.Event(), TransportError("closed")
     transports = [
