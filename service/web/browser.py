@@ -200,11 +200,18 @@ class Browser:
 
     async def _command(self, requested: CommandRequest | ResourceRequest) -> None:
         by = "without a token" if self.grant is None else f"by {self.grant.name}"
-        body = await self._carry_out(requested)
+        try:
+            body = await self._carry_out(requested)
+        except asyncio.CancelledError:  # a thread goes on with it
+            self._log(requested, by, {"error": "the browser has gone before the answer"})
+            raise
+        self._log(requested, by, body)
+        self._answer(requested.n, body)
+
+    def _log(self, requested: CommandRequest | ResourceRequest, by: str, body: dict[str, Any]) -> None:
         if isinstance(requested, CommandRequest) or requested.action not in LOOKS:
             words = requested.model_dump(mode="json", exclude={"type", "n"}, exclude_defaults=True)
             log.info("web: %s at %s: %s: %s", by, self.address, _shown(words), _shown(body))
-        self._answer(requested.n, body)
 
     def _answer(self, n: int, body: dict[str, Any]) -> None:
         self.send_queue.answer(to_json("answer", n=n, body=body))

@@ -113,6 +113,22 @@ def test_a_command_that_takes_long_holds_up_neither_poses_nor_others(serve, disp
     talk(server, ask)
 
 
+def test_a_command_whose_browser_goes_before_the_answer_is_in_the_log(serve, dispatcher, caplog):
+    """It is carried out all the same."""
+    caplog.set_level("INFO")
+    server = serve()
+
+    async def ask(client):
+        async with client.socket() as socket:
+            await client.ask(socket, type="token", token=TOKEN)
+            await client.ask(socket, type="command", n=1, verb="wait")
+            wait_until(lambda: dispatcher.requested)
+        wait_until(lambda: "the browser has gone before the answer" in caplog.text)
+
+    talk(server, ask)
+    assert '{"verb": "wait"}' in caplog.text
+
+
 def test_stored_things_are_listed_for_all_and_handed_out_once_for_the_token(serve, tmp_path):
     (tmp_path / "a.mcap").write_bytes(b"a session")
 
