@@ -1,11 +1,13 @@
 """Fetches the finished recordings of a vehicle, oldest first; what is there already is not fetched again."""
 
+import fcntl
 import hashlib
 import json
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,15 +48,42 @@ def pull(
     """Into out/<vehicle>/. One part is requested at a time, behind all else on the vehicle's link. Another
     recording that is there by the same name is kept under a further one.
 
-    Raises RefusedError; StorageError where the vehicle does not answer any more, OSError where the disk
-    refuses: what has come stays, and the next call goes on there; InputError where a file is not what the
-    vehicle has.
+    Raises RefusedError; StorageError where the vehicle does not answer any more, or another call writes
+    there, OSError where the disk refuses: what has come stays, and the next call goes on there; InputError
+    where a file is not what the vehicle has.
     """
     folder = out / vehicle
     listed = {str(one["name"]): int(one["bytes"]) for one in ask_json(session, vehicle, RECORDINGS)}
     if unsafe := [name for name in listed if Path(name).name != name or not name.endswith(".mcap")]:
         raise InputError(f"{vehicle}: {unsafe[0]!r} is no name of a recording")
     folder.mkdir(parents=True, exist_ok=True)
+    with _alone_in(folder):
+        return _fetch_missing(session, vehicle, folder, listed, limit_bytes_per_s, progress, pause_s)
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise StorageError(f"another pull writes to {folder}; wait until it has ended") from None
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _fetch_missing(
+    session: zenoh.Session,
+    vehicle: str,
+    folder: Path,
+    listed: Mapping[str, int],
+    limit_bytes_per_s: float | None,
+    progress: Progress,
+    pause_s: float,
+) -> Pulled:
+    """listed: bytes of the vehicle's recordings. Raises as pull."""
     there = [name for name, size in listed.items() if _size(folder / name) == size]
     missing = {name: size for name, size in listed.items() if name not in there}
     lines = _pull_journal(session, vehicle, folder / JOURNAL_FILE, pause_s)
@@ -76,7 +105,7 @@ def pull(
                 if limit_bytes_per_s is not None:
                     time.sleep(max(fetched_bytes / limit_bytes_per_s - (time.monotonic() - began_s), 0.0))
         _check(part, _requested_again(session, vehicle, f"{RECORDINGS}/{name}?sha256=1", pause_s).decode())
-        _keep(folder / name)
+        _keep_other(folder / name, size)
         os.replace(part, folder / name)
         sync(folder)
         done += size
@@ -143,9 +172,9 @@ def _check(part: Path, expected: str) -> None:
         )
 
 
-def _keep(path: Path) -> None:
+def _keep_other(path: Path, size: int) -> None:
     """Another recording by that name stays: of a vehicle whose clock begins anew at each boot, say."""
-    if path.exists():
+    if _size(path) not in (None, size):
         kept = path.with_name(f"{path.stem}_of_{path.stat().st_mtime_ns}{path.suffix}")
         path.rename(kept)
         log.warning("%s was here, of another size than the vehicle's: it is kept as %s", path, kept.name)

@@ -166,7 +166,8 @@ def _received(incoming: Path, name: str, parameters: zenoh.Parameters, payload: 
         return there
     offset = _number(parameters, "offset")
     if offset > there:
-        raise InputError(f"{name}: {there} bytes have come; a part at {offset} leaves a gap")
+        words = f"{name}: {there} bytes have come; a part at {offset} leaves a gap; is another push at work?"
+        raise InputError(words)
     incoming.mkdir(parents=True, exist_ok=True)
     if name != MANIFEST:
         expected = read_manifest(incoming).files

@@ -93,6 +93,21 @@ def test_a_lost_link_delays_a_transfer_and_does_not_end_it(
     assert set(pulled.fetched) == set(SIZES)
 
 
+def test_a_pull_into_a_folder_that_another_one_writes_to_is_refused(
+    vehicle, endpoint, open_client, tmp_path
+):
+    """A timer begins one each ten minutes, and the first takes an hour, say."""
+    client, refusals = open_client(endpoint), []
+
+    def pull_too(done: int, total: int) -> None:
+        with pytest.raises(StorageError, match=r"another pull writes to .*veh1; wait") as found:
+            pull(client, "veh1", tmp_path / "out")
+        refusals.append(found.value)
+
+    assert set(pull(client, "veh1", tmp_path / "out", progress=pull_too).fetched) == set(SIZES)
+    assert refusals
+
+
 def test_a_limit_spreads_the_transfer_over_time(vehicle, endpoint, open_client, tmp_path, monkeypatch):
     pauses: list[float] = []
     monkeypatch.setattr(pull_module.time, "sleep", pauses.append)
