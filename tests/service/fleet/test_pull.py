@@ -93,9 +93,7 @@ def test_a_lost_link_delays_a_transfer_and_does_not_end_it(
     assert set(pulled.fetched) == set(SIZES)
 
 
-def test_a_pull_into_a_folder_that_another_one_writes_to_is_refused(
-    vehicle, endpoint, open_client, tmp_path
-):
+def test_a_pull_into_a_folder_that_another_one_writes_to_is_refused(vehicle, endpoint, open_client, tmp_path):
     """A timer begins one each ten minutes, and the first takes an hour, say."""
     client, refusals = open_client(endpoint), []
 
