@@ -204,7 +204,6 @@ def _values(session: zenoh.Session, row: str, key: str) -> dict[str, float]:
 def _router(file: Path) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "service", "fleet", "router", str(file), "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         assert process.stdout.readline()
         try:
             yield process
@@ -230,5 +229,4 @@ def _vehicles(folder: Path, endpoint: str, count: int, recordings: Sequence[Path
 
 def _cpu_s(pid: int) -> float:
     process = look_at(pid)
-    assert process is not None
     return process.cpu_s

@@ -81,7 +81,6 @@ class Mapping1x:
         self._pace.wait_for(log_ns)
 
     def mapped(self, scan: LaserScan, output: MapperOutput) -> None:
-        assert self._mapper is not None
         now_s = time.monotonic()
         self._vehicle.sink.put(replace(encode_pose(output, scan.arrived_ns), log_ns=time.time_ns()))
         if now_s >= self._health_due_s:

@@ -148,7 +148,6 @@ def build_apart(results: Sequence[Path], out: Path) -> list[Row]:
         "--json",
     ]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
         report = json.loads(process.stdout.read())
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)

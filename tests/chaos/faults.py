@@ -206,7 +206,6 @@ def router(folder: Path) -> Iterator[dict[str, Any]]:
 
 def _router(endpoint: str) -> subprocess.Popen[bytes]:
     process = subprocess.Popen([sys.executable, "-c", ROUTER, endpoint], stdout=subprocess.PIPE)
-    assert process.stdout is not None
     process.stdout.readline()
     return process
 

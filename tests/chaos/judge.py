@@ -101,7 +101,6 @@ class Evidence:
                 self.poses.append((number, pose.stamp_ns - offset_ns, pose.pose))
             elif message.channel in self.stamps:
                 frame = decode_frame(message.type, message.payload, "", message.log_ns)
-                assert frame is not None
                 self.stamps[message.channel].append(frame.stamp_ns - offset_ns)
             elif message.channel == "diagnostics":
                 self.states.append((at_ns, _state(decode_diagnostics(message.payload))))

@@ -55,8 +55,6 @@ def test_the_wall_clock_of_a_process_steps_while_it_runs_and_its_monotonic_clock
                 env=os.environ | settings["environment"],
             )
             with process:
-                assert process.stdin is not None
-                assert process.stdout is not None
                 seen = [process.stdout.readline()]
                 set_wall_clock(tmp_path, 3600)
                 process.stdin.write("\n")

@@ -39,10 +39,8 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (tree / "drivers" / "line_laser" / "__init__.py").touch()
     for registry in ("drivers/registry.py", "simulators/registry.py"):
         line = re.search(rf'^{registry} +(".*)$', PAGE, re.MULTILINE)
-        assert line is not None
         insert(tree / registry, '"sick_lms100":', line[1].replace("<type>", "line_laser") + "\n    ")
     sink = re.search(r"^ +(SinkKind\(.*\),)$", PAGE, re.MULTILINE)
-    assert sink is not None
     insert(tree / "service/sinks/registry.py", "SinkKind(\n", sink[1] + "\n    ")
     method = "service/mapper/methods/corridor/method.py"
     imported, offered = re.findall(rf"^{method} +(.*)$", PAGE, re.MULTILINE)

@@ -50,7 +50,6 @@ def drive(config: Path) -> None:
     config.write_text(yaml.safe_dump(settings))
     command = [sys.executable, "-m", "service", "run", str(config)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as service:
-        assert service.stderr is not None
         try:
             output = []
             for line in service.stderr:

@@ -38,13 +38,11 @@ CONDITIONS = {
 @pytest.mark.parametrize("state", CONDITIONS)
 def test_the_row_of_a_state_has_the_figures_of_the_code(state):
     row = re.search(rf"^\| `{state}` \|.*$", PAGE, re.MULTILINE)
-    assert row is not None
     assert [condition for condition in CONDITIONS[state] if condition not in row[0]] == []
 
 
 def test_a_far_match_has_the_figures_of_the_code():
     paragraph = re.search(r"^A \*far match\*.*$", PAGE, re.MULTILINE)
-    assert paragraph is not None
     assert f"a chi2 above {judgement.JUMP_CHI2:.1f}" in paragraph[0]
     assert f"more than {judgement.GAP_S:.1f} s" in paragraph[0]
     assert f"an agreement of {judgement.MIN_AGREEMENT_FAR:.2f}" in paragraph[0]

@@ -103,7 +103,6 @@ class VirtualLink:
     def _tick(self, kind: link.ChunkKind, now_ns: int, data: bytes = b"") -> None:
         """Have the session take what happened on the wire, and the device what the session then sends."""
         session = self._session
-        assert session is not None
         self.chunks.append(link.RawChunk(now_ns, kind, data))
         if data:
             frames = session.receive_data(data, now_ns)

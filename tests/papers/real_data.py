@@ -187,7 +187,6 @@ def relations(name: str, seeds: Sequence[int]) -> Section:
         if profile == "corridor":
             continue
         found = scored(profile, name)
-        assert found is not None
         cause = CAUSES.get((profile, name), "")
         rows.append(Row(profile, [found.error_m], "m", name, at_most=bound_m, cause=cause))
         if profile == "submap_graph" and name in FEW_SCANS:

@@ -74,7 +74,6 @@ def begin(tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[bytes]]]:
         for pid in alive_in(process.pid):
             os.kill(pid, signal.SIGKILL)
         process.wait()
-        assert process.stdout is not None
         process.stdout.close()
 
 

@@ -115,7 +115,6 @@ def test_places_are_the_rides_on_the_earth(world):
     at = START_NS + 6_000_000_000
     x, y, theta = Ride(world, START_NS, 0.0).poses(np.array([at]))[0]
     place = unit.place(at)
-    assert place is not None
     # WGS 84 at 60 deg north: a degree is 111412.27 m of latitude and 55800 m of longitude.
     north_m = (place.latitude_deg - 60.0) * 111_412.8
     east_m = (place.longitude_deg - 25.0) * 55_800.6
@@ -123,7 +122,6 @@ def test_places_are_the_rides_on_the_earth(world):
     assert east_m == pytest.approx(-(y + 0.5 * math.sin(theta)), abs=2e-3)
     assert place.height_m == 30.0
     later = unit.place(at + 10_000_000)
-    assert later is not None
     east, north, _ = place.velocity_enu_mps
     assert (later.latitude_deg - place.latitude_deg) * 111_412.8 / 0.01 == pytest.approx(north, abs=0.03)
     assert (later.longitude_deg - place.longitude_deg) * 55_800.6 / 0.01 == pytest.approx(east, abs=0.03)
@@ -134,7 +132,6 @@ def test_the_filter_places_the_unit_at_each_sample_with_the_receivers_slow_error
     at = stamps(world)
     exact, wrong = truth(world, gnss_sigma_m=0.0), truth(world, gnss_sigma_m=2.0)
     places, erring = exact.estimates(at), wrong.estimates(at)
-    assert places is not None
     assert erring is not None
     assert places[40] == exact.place(int(at[40]))
     north_m = np.array([place.latitude_deg for place in places]) * 111_412.8

@@ -36,12 +36,10 @@ def simulate() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     for process in running:
         process.kill()
         process.wait(PATIENCE_S)
-        assert process.stdout is not None
         process.stdout.close()
 
 
 def endpoints(process: subprocess.Popen[str]) -> dict[str, str]:
-    assert process.stdout is not None
     found = {}
     while "ready" not in (line := json.loads(process.stdout.readline())):
         found[line["name"]] = line["endpoint"]
@@ -87,7 +85,6 @@ def test_it_ends_when_its_parent_dies():
     with subprocess.Popen(
         [sys.executable, "-c", middleman], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as parent:
-        assert parent.stdout is not None
         child = os.pidfd_open(int(parent.stdout.readline()))
         parent.kill()
     ended = bool(select.select([child], [], [], PATIENCE_S)[0])
@@ -134,7 +131,6 @@ def test_faults_come_at_their_time_and_are_summed_up(tmp_path: Path):
         try:
             where = endpoints(process)
             host, port = where["front"].removeprefix("tcp://").split(":")
-            assert process.stderr is not None
             begun = {process.stderr.readline() for _ in range(2)}
             assert begun == {"front: cut for 0.3 s\n", "base: restart for 0.3 s\n"}
             deadline_s = time.monotonic() + PATIENCE_S

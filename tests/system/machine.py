@@ -49,7 +49,6 @@ class FakeVehicle:
         command += ["--device", f"base=irobot_create:link={self.terminal}"]
         command += ["--faults", str(self._faults)] if self._faults is not None else []
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self._process.stdout is not None
         for line in self._process.stdout:
             if json.loads(line).get("ready"):
                 return
@@ -59,7 +58,6 @@ class FakeVehicle:
         if self._process is not None:
             self._process.terminate()
             self._process.wait(STOP_TIMEOUT_S)
-            assert self._process.stdout is not None
             self._process.stdout.close()
             self._process = None
 
@@ -152,7 +150,6 @@ class LiveService:
     @property
     def pid(self) -> int:
         """Of its own process, not that of the mapper."""
-        assert self._process is not None
         return self._process.pid
 
     @property
@@ -161,12 +158,10 @@ class LiveService:
         return Path(f"/proc/{self.pid}/maps").read_text()
 
     def signal(self, number: signal.Signals) -> None:
-        assert self._process is not None
         self._process.send_signal(number)
 
     def wait(self) -> int:
         """Its exit code."""
-        assert self._process is not None
         return self._process.wait(STOP_TIMEOUT_S)
 
     def close_process(self) -> None:
@@ -225,7 +220,6 @@ class Subscriber:
             self._root + selector, timeout=PATIENCE_S, consolidation=zenoh.ConsolidationMode.NONE
         ):
             assert reply.ok is not None, reply.err
-            assert reply.ok.attachment is not None
             version = int.from_bytes(reply.ok.attachment.to_bytes()[:8], "little")
             channel = str(reply.ok.key_expr).removeprefix(self._root)
             answers[channel] = (version, reply.ok.payload.to_bytes())
@@ -237,7 +231,6 @@ class Subscriber:
             f"{self._root}cmd/{verb}", payload=json.dumps(request), timeout=PATIENCE_S
         )
         sample = reply.ok if reply.ok is not None else reply.err
-        assert sample is not None
         facts: dict[str, Any] = json.loads(sample.payload.to_string())
         assert facts["ok"] is (reply.ok is not None)
         return facts

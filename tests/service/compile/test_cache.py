@@ -70,7 +70,6 @@ def test_without_a_place_a_private_one_is_made_with_a_warning(
         monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / given))
     with caplog.at_level(logging.WARNING):
         made = ensure_cache_dir()
-    assert made is not None
     assert cache_folder().parent == made
     assert made.stat().st_mode & 0o777 == 0o700
     assert "compiled again at every start" in caplog.text

@@ -68,7 +68,6 @@ def test_the_process_runs_no_script_again_and_ends_with_the_process_that_began_i
     (tmp_path / "script.py").write_text(SCRIPT)
     command, pipe = [sys.executable, str(tmp_path / "script.py")], subprocess.PIPE
     with subprocess.Popen(command, bufsize=0, stdin=pipe, stdout=pipe) as script:
-        assert script.stdout is not None
         assert script.stdout.readline() == b"mapped\n"
         worker = os.pidfd_open(int(script.stdout.readline()))
         assert not select.select([worker], [], [], 0.0)[0]

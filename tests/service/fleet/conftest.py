@@ -68,7 +68,6 @@ def start_vehicle(site) -> Iterator[Callable[..., FleetSink]]:
             security = {"tls": tls(site, certificate)} if endpoint.startswith("tls") else "none"
             config = PublishingConfig.model_validate({"fleet": fleet, "security": security})
             sink = open_sink(config, sink_context(vehicle=vehicle, **parts))
-            assert sink is not None
             opened.callback(sink.close)
             sink.start()
             if waits:

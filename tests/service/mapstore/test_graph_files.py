@@ -14,7 +14,6 @@ def test_a_graph_comes_back_with_its_map(tmp_path):
     graph = graph_of(5)
     save_map(tmp_path, TILES, 1, graph=graph)
     back = load_map(tmp_path).graph
-    assert back is not None
     np.testing.assert_array_equal(back.map, graph.map)
     np.testing.assert_allclose(back.xy_base, graph.xy_base, atol=1e-6)
 

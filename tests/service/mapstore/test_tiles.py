@@ -45,7 +45,6 @@ def test_the_grid_agrees_with_rendering_cell_by_cell_while_the_map_grows_on_all_
         batch = [tile(*random.integers(-reach, reach + 1).tolist(), version + i) for i in range(3)]
         store.update([*batch, tile(900, 900, version, level=1)])
         grid = store.grid()
-        assert grid is not None
         expected = slow_grid([t for t in store.since(0) if t.level == 0])
         left, low = round(grid.x_min_m / CELL_M), round(grid.y_min_m / CELL_M)
         rendered = np.full(grid.cells.shape, UNKNOWN)
@@ -63,8 +62,6 @@ def test_a_grid_given_out_never_changes():
     first = store.grid()
     store.update([tile(0, 0, 2, value=100)])
     second = store.grid()
-    assert first is not None
-    assert second is not None
     assert (first.cells == 0).all()
     assert (second.cells == 100).all()
     with pytest.raises(ValueError, match="read-only"):
@@ -91,7 +88,6 @@ def test_updates_and_pictures_from_two_threads_end_in_the_same_map():
         for version in range(1, 400):
             store.update([tile(version % 11 - 5, version % 7 - 3, version, value=version % 101)])
     grid = store.grid()
-    assert grid is not None
     for t in store.since(0):
         row, column = (t.iy + 3) * EDGE, (t.ix + 5) * EDGE
         assert (grid.cells[row : row + EDGE, column : column + EDGE] == t.cells[0, 0]).all()
@@ -115,12 +111,10 @@ def test_the_picture_of_an_emptied_map_is_one_unknown_tile_and_the_next_map_does
     assert store.grid() is not None
     store.start_over()
     blank = store.grid()
-    assert blank is not None
     assert (blank.version, blank.x_min_m, blank.y_min_m, blank.cells.shape) == (18, 0.0, 0.0, (EDGE, EDGE))
     assert (blank.cells == UNKNOWN).all()
     store.update([tile(-1, 0, 19, value=100)])
     grid = store.grid()
-    assert grid is not None
     assert (grid.version, grid.x_min_m, grid.cells.shape) == (19, -EDGE * CELL_M, (EDGE, 2 * EDGE))
     assert np.count_nonzero(grid.cells == 100) == EDGE * EDGE
 

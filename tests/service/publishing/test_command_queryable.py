@@ -18,7 +18,6 @@ def ask(session: zenoh.Session, key: str, payload: str | None = None) -> list[tu
     facts = []
     for reply in session.get(f"{ROOT}/{key}", payload=payload, timeout=10.0):
         sample = reply.ok if reply.ok is not None else reply.err
-        assert sample is not None
         facts.append((reply.ok is not None, str(sample.encoding), sample.payload.to_string()))
     return facts
 

@@ -345,7 +345,6 @@ def test_a_stalled_subscriber_takes_nothing_from_the_others(publisher, client):
     scan = bytes(200_000)
     command = [sys.executable, "-c", STALLED, publisher.endpoints[0]]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as stalled:
-        assert stalled.stdout is not None
         assert stalled.stdout.readline() == "ready\n"
         stalled.send_signal(signal.SIGSTOP)
         pause = threading.Event()

@@ -46,7 +46,6 @@ def test_a_service_that_is_killed_leaves_no_process_that_compiles_kernels(tmp_pa
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "TMPDIR": str(tmp_path)}
     command, pipe = [sys.executable, "-c", BEGINS], subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as service:
-        assert service.stdout is not None
         mapper = int(service.stdout.readline())
         wait_until(lambda: any(one.parent == mapper for one in alive()), 120.0, "it compiles nothing")
         pids = [mapper, *(one.pid for one in alive() if one.parent == mapper)]
@@ -76,7 +75,6 @@ def test_the_folder_of_a_service_that_was_killed_is_removed_by_the_next(
     just_made.mkdir()
     command = [sys.executable, "-c", MAKES]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
-        assert other.stdout is not None
         theirs = Path(other.stdout.readline().strip())
         while_it_lives = MapperSocket()
         assert theirs.exists()

@@ -211,7 +211,6 @@ def has_back_end_for_standby(drive: Drive) -> bool:
 def all_back_ends_of(mapper: int) -> dict[int, int]:
     """Process -> its parent. Back ends have a lower priority than the mapper."""
     its = look_at(mapper)
-    assert its is not None
     return {
         one.pid: one.parent for one in alive() if one.session == its.session and one.niceness > its.niceness
     }

@@ -47,7 +47,6 @@ def test_a_session_goes_on_in_the_map_and_at_the_pose_of_one_that_was_killed(con
     killed(config, folder, ago_s=10.0)
     going_on, pose = resumed(config)
     assert going_on.begin_in == going_on.sinks["map"].load == folder
-    assert pose is not None
     assert (pose.x_m, pose.y_m, pose.theta_rad) == (1.0, 2.0, 0.5)
 
 

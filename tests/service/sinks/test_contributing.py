@@ -24,7 +24,6 @@ def udp_sink(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The first Python block of the section, as the module that the section calls it."""
     section = PAGE.read_text().partition("## Add an output\n")[2]
     block = re.search(r"```python\n(.*?)```", section, re.DOTALL)
-    assert block is not None
     module = ModuleType("service.sinks.udp_sink")
     monkeypatch.setitem(__import__("sys").modules, module.__name__, module)
     exec(dedent(block[1]), module.__dict__)
@@ -40,7 +39,6 @@ def pose():
 
 def test_the_registry_line_opens_it_and_a_pose_comes_out(udp_sink: ModuleType):
     line = re.search(r"^ +(SinkKind\(.*\)),$", PAGE.read_text(), re.MULTILINE)
-    assert line is not None
     kind: SinkKind = eval(line[1])
     model = kind.load_model()
     assert kind.open_sink(model(), sink_context()) is None
@@ -48,7 +46,6 @@ def test_the_registry_line_opens_it_and_a_pose_comes_out(udp_sink: ModuleType):
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(20.0)
         sink = kind.open_sink(model(host="127.0.0.1", port=receiver.getsockname()[1]), sink_context())
-        assert sink is not None
         sink.put(pose())
         assert json.loads(receiver.recv(1000)) == {"stamp_ns": 5, "x_m": 1.0, "y_m": 2.0}
         assert (sink.health().level, sink.health().values) == (OK, {"sent": "1"})

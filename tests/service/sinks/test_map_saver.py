@@ -261,7 +261,6 @@ def test_a_map_that_someone_asks_for_is_saved_with_the_graph_of_now(tmp_path: Pa
             saver.ask_to_save(answers, name, with_graph=True)
             assert answers.came.acquire(timeout=20.0)
             saved, _ = answers.heard[number]
-            assert saved is not None
             graph = load_map(saved.folder).graph
             assert graph is not None
             assert len(graph) == 5 + number

@@ -33,7 +33,6 @@ CONFIG = PublishingConfig(listen=LISTEN, ros2={"enabled": True, "domain": 3, "na
 @pytest.fixture
 def sink() -> Iterator[Ros2Sink]:
     opened = open_sink(CONFIG, sink_context(tiles=TileStore()))
-    assert opened is not None
     opened.start()
     yield opened
     opened.close()

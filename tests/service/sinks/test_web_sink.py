@@ -20,7 +20,6 @@ def open_page(tmp_path):
     def open_one(token_file=tmp_path / "web.token", settings=None, **context):
         config = WebConfig(listen="127.0.0.1:0", token_file=token_file, **(settings or {}))
         sink = open_sink(config, sink_context(**context))
-        assert sink is not None
         opened.append(sink)
         assert sink.server.wait_served(TIMEOUT_S)
         return sink

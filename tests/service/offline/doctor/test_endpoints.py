@@ -55,7 +55,6 @@ def test_the_running_service_is_recognised(tree: FakeTree, taken: int):
     finding, running = look(tree.machine(), f"tcp/127.0.0.1:{taken}")
     assert finding.severity == "note"
     assert "corridor (process 41) is the running service" in finding.measured
-    assert running is not None
     assert running.endpoint == f"tcp/127.0.0.1:{taken}"
 
 

@@ -24,7 +24,6 @@ def test_a_cable_that_is_out_is_seen_before_the_device_is_called(tree: FakeTree)
     assert look_at_route(tree.machine(), "front", "192.168.0.1") is None
     tree.write("/sys/class/net/eth1/carrier", "0\n")
     finding = look_at_route(tree.machine(), "front", "192.168.0.1")
-    assert finding is not None
     assert "nothing is plugged in there" in finding.measured
 
 
@@ -60,5 +59,4 @@ def test_a_name_without_an_address_is_reported(monkeypatch: pytest.MonkeyPatch):
 
     monkeypatch.setattr(socket, "getaddrinfo", no_address)
     _, finding = resolve("front", "front-scanner", 2111)
-    assert finding is not None
     assert "front-scanner has no address" in finding.measured

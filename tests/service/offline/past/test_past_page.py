@@ -58,7 +58,6 @@ def test_a_port_that_is_taken_is_reported(shown, files, caplog):
 def test_the_command_says_where_it_shows_until_it_is_interrupted(files):
     command = [sys.executable, "-m", "service", "view", "--json", *map(str, files), "--listen", ANY_PORT]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         printed = json.loads(process.stdout.readline())
         assert printed["address"].startswith("http://127.0.0.1:")
         process.send_signal(2)

@@ -145,7 +145,6 @@ def test_a_session_that_extends_the_map_moves_the_trajectory_as_often_as_it_save
         save_map(result / "map", bent.tiles, saved_ns, graph=moved)
     driven = read_tum(result / "trajectory.tum")
     trajectory = open_result(result).trajectory
-    assert trajectory is not None
     expected = driven.pose + np.array([0.25, 0.0, 0.0])
     np.testing.assert_allclose(trajectory.pose, expected, atol=1e-6)
 

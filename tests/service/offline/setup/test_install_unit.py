@@ -24,7 +24,6 @@ def test_every_file_is_put_where_it_is_looked_for(tmp_path: Path):
     assert 'ATTRS{idVendor}=="15d1"' in (tmp_path / "etc/udev/rules.d/60-corridor.rules").read_text()
     example = load_config(tmp_path / "etc/corridor/vehicle.yaml.example")
     named = re.search(r"\$schema=(\S+)", (tmp_path / "etc/corridor/vehicle.yaml.example").read_text())
-    assert named is not None
     assert (tmp_path / "etc/corridor" / named[1]).read_text() == schema_text()
     assert str(example.sinks["recording"].directory) == "/var/lib/corridor/sessions"
     assert not list(tmp_path.rglob("*.new"))

@@ -71,7 +71,6 @@ def true_pose(k: int) -> SE2:
 def errors_m(out: Path, names: Sequence[str]) -> np.ndarray:
     """Of all key frames, in the frame of the first drive, which is that of the truth."""
     graph = load_map(out).graph
-    assert graph is not None
     numbers = [k for name in names for k in range(FIRST[name], FIRST[name] + COUNT)]
     expected = np.array([(pose.x_m, pose.y_m) for pose in map(true_pose, numbers)])
     return np.hypot(*(graph.map[:, :2] - expected).T)

@@ -132,7 +132,6 @@ def test_a_search_finds_both_values_and_prunes_what_is_worse_than_the_median(
     assert {trial.state.name for trial in trials} == {"COMPLETE", "PRUNED"}
     assert len(trials) == 14
     after = outcome.costs(is_held_out=True)
-    assert after is not None
     assert after[1] < after[0]
     patch = yaml.safe_load(patch_of(outcome, "corridor"))
     assert patch["mapping"]["settings"]["matcher"]["wall_sigma_m"] == outcome.best["matcher.wall_sigma_m"]
@@ -253,5 +252,4 @@ def test_wrong_settings_are_found_again_within_30_trials(tmp_path: Path):
     assert 0.002 < outcome.best["motion_model.odometry_position_walk"] < 0.2
     for is_held_out in (False, True):
         costs = outcome.costs(is_held_out)
-        assert costs is not None
         assert costs[1] < 0.4 * costs[0]

@@ -42,14 +42,11 @@ class Nursery:
 
     def _ask(self, **what: Any) -> int:
         assert self._process.stdin is not None
-        assert self._process.stdout is not None
         with self._lock:
             print(json.dumps(what), file=self._process.stdin, flush=True)
             return int(self._process.stdout.readline())
 
     def close(self) -> None:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
         self._process.stdin.close()
         self._process.wait()
         self._process.stdout.close()
