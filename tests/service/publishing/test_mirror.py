@@ -1,69 +1,19 @@
-"""mirror.py, the program that docs/subscribing.md offers, in processes of its own."""
+"""mirror.py, the program that docs/subscribing.md offers."""
 
-import hashlib
-import json
-import shutil
-import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from pathlib import Path
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
 
+from drivers.rmw_zenoh import Attachment
 from service.mapstore.tiles import TileStore
 from tests.in_background import in_background
 from tests.service.mapstore.tile_makers import tile
+from tests.service.publishing.mirror import MapMirror, connect, follow
 from tests.waiting import wait_until
-
-HERE = Path(__file__).parent
-
-# Joins, says so, follows until stdin says which version is the last, and prints what it holds then.
-JOINER = """
-import hashlib, json, sys, threading, zenoh
-from mirror import MapMirror, connect, follow
-
-with connect(sys.argv[1]) as session:
-    mirror = MapMirror()
-    subscriber, fetch = follow(session, "veh1", mirror)
-    fetch()
-    joined_at = mirror.complete_to
-    print("joined", flush=True)
-    last = int(sys.stdin.readline())
-    pause = threading.Event()
-    while max(version for version, _ in mirror.tiles.values()) < last:
-        pause.wait(0.01)
-    live = max(version for version, _ in mirror.tiles.values())
-    fetch()
-    kept = {}
-    for key, (version, _) in mirror.tiles.items():
-        kept[key.split("/tile/")[1]] = [version, hashlib.sha256(mirror.cells(key).tobytes()).hexdigest()]
-    print(json.dumps({"joined_at": joined_at, "live": live, "complete_to": mirror.complete_to, "kept": kept}))
-"""
-
-
-@pytest.fixture
-def programs(tmp_path) -> Path:
-    shutil.copy(HERE / "mirror.py", tmp_path)
-    (tmp_path / "joiner.py").write_text(JOINER)
-    return tmp_path
-
-
-@pytest.fixture
-def join(programs, publisher) -> Iterator[object]:
-    running = []
-
-    def start() -> subprocess.Popen:
-        command = [sys.executable, str(programs / "joiner.py"), publisher.endpoints[0]]
-        joiner = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        running.append(joiner)
-        return joiner
-
-    yield start
-    for joiner in running:
-        joiner.kill()
-        joiner.communicate()
 
 
 @pytest.fixture
@@ -90,34 +40,41 @@ def mapping(publisher, store) -> Iterator[object]:
         yield finish
 
 
-def versions_in(store: TileStore) -> dict[str, list[object]]:
+def tiles_in(store: TileStore) -> dict[str, tuple[int, bytes]]:
+    return {f"{t.level}/{t.ix}/{t.iy}": (t.version, t.cells.tobytes()) for t in store.since(0)}
+
+
+def tiles_of(mirror: MapMirror) -> dict[str, tuple[int, bytes]]:
     return {
-        f"{t.level}/{t.ix}/{t.iy}": [t.version, hashlib.sha256(t.cells.tobytes()).hexdigest()]
-        for t in store.since(0)
+        key.split("/tile/")[1]: (version, mirror.cells(key).tobytes())
+        for key, (version, _) in mirror.tiles.items()
     }
 
 
-def test_whoever_joins_while_the_map_changes_ends_with_the_same_map(join, mapping, store):
-    joiners = []
-    for _ in range(3):  # one after the other, so that each joins another state
-        joiners.append(join())
-        assert joiners[-1].stdout.readline() == "joined\n"
-    last = mapping()
-    results = [json.loads(joiner.communicate(f"{last}\n", timeout=20.0)[0]) for joiner in joiners]
-    for result in results:
-        assert result["kept"] == versions_in(store)
-        assert result["live"] == result["complete_to"] == last
-        assert result["joined_at"] < last  # so what came after was heard, not asked for
-    joined_at = [result["joined_at"] for result in results]
-    assert joined_at == sorted(joined_at)
+def newest(mirror: MapMirror) -> int:
+    return max(version for version, _ in list(mirror.tiles.values()))
 
 
-def test_the_mirror_forgets_a_former_run(programs, monkeypatch):
-    monkeypatch.syspath_prepend(str(programs))
-    from mirror import MapMirror
+def test_whoever_joins_while_the_map_changes_ends_with_the_same_map(publisher, mapping, store):
+    with ExitStack() as opened:
+        joined = []
+        for _ in range(3):  # one after the other, so that each joins another state
+            session, mirror = opened.enter_context(connect(publisher.endpoints[0])), MapMirror()
+            subscriber, fetch = follow(session, "veh1", mirror)
+            fetch()
+            joined.append((mirror, fetch, subscriber, mirror.complete_to))
+        last = mapping()
+        for mirror, fetch, _, _ in joined:
+            wait_until(lambda heard=mirror: newest(heard) == last)  # not asked for
+            fetch()
+            assert mirror.complete_to == last
+            assert tiles_of(mirror) == tiles_in(store)
+        joined_at = [version for *_, version in joined]
+        assert joined_at == sorted(joined_at)
+        assert joined_at[-1] < last
 
-    from drivers.rmw_zenoh import Attachment
 
+def test_the_mirror_forgets_a_former_run():
     before, after = (
         Attachment(version, 0, bytes([run] * 16)).encode() for version, run in ((900, 1), (3, 2))
     )
@@ -130,12 +87,7 @@ def test_the_mirror_forgets_a_former_run(programs, monkeypatch):
     assert (mirror.tiles, mirror.complete_to) == ({"a": (3, b"new")}, 0)
 
 
-def test_a_sample_and_a_reply_may_overtake_each_other(programs, monkeypatch):
-    monkeypatch.syspath_prepend(str(programs))
-    from mirror import MapMirror
-
-    from drivers.rmw_zenoh import Attachment
-
+def test_a_sample_and_a_reply_may_overtake_each_other():
     mirror = MapMirror()
     for version in (5, 4, 6, 5):
         mirror.apply("a", str(version).encode(), Attachment(version, 0, bytes(16)).encode())
