@@ -1,7 +1,6 @@
 """64 short sessions on each engine: same bytes, speed-up, killed workers."""
 
 import hashlib
-import logging
 import os
 import signal
 import socket
@@ -14,11 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, cast
-from unittest.mock import patch
 
-from moto.server import ThreadedMotoServer
-
-from service.archive import path_or_url
 from service.offline.cluster.batch import run_batch
 from service.offline.cluster.engines import Cluster, Engine, Processes, in_turn
 from service.offline.cluster.session_task import new_tasks
@@ -27,6 +22,7 @@ from service.offline.replay.replay import ReplayOptions
 from simulators.worlds import WORLDS
 from tests.processes import alive, command_of
 from tests.recorded_drive import record
+from tests.s3_bucket import s3_bucket
 from tests.service.recording.sessions import T0_NS
 from tests.simulated import FORWARD, LMS100_50HZ, Wheels, drives
 
@@ -61,16 +57,17 @@ class _Run:
         assert not faults, faults
         if bucket is not None:
             cast(Any, bucket).fs.get(cast(Any, out).path, str(self._folder / name), recursive=True)
-        digest = _digest(self._folder / name)
+        digest = digest_of(self._folder / name, without=("summary.json", DONE_FILE))
         self._expected = self._expected or digest
         assert digest == self._expected, f"{name}: other bytes"
         return taken_s
 
 
-def _digest(folder: Path) -> str:
+def digest_of(folder: Path, without: Sequence[str] = ()) -> str:
+    """Of all files below it, but for those of some names."""
     digest = hashlib.sha256()
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-        if path.name not in ("summary.json", DONE_FILE):
+        if path.name not in without:
             digest.update(f"{path.relative_to(folder)}".encode() + path.read_bytes())
     return digest.hexdigest()
 
@@ -86,7 +83,7 @@ def measure() -> list[Row]:
         with Cluster("local:2") as cluster:
             dask_s = run("dask", cluster)
             empty_s = run("dask", cluster)  # all is done: the rest is the cost of the task itself
-        bucket = stack.enter_context(_bucket())
+        bucket = stack.enter_context(s3_bucket())
         for session in sessions:
             (bucket / "in" / session.name).write_bytes(session.read_bytes())
         with Processes(2) as processes:
@@ -127,21 +124,6 @@ def _once(act: Callable[[], object]) -> Disturb:
             waiting.pop()()
 
     return disturb
-
-
-@contextmanager
-def _bucket() -> Iterator[Path]:
-    """Of a local S3 server; processes started meanwhile use it."""
-    logging.getLogger("werkzeug").setLevel(logging.WARNING)  # else a line for each request
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    address = "http://{}:{}".format(*server.get_host_and_port())
-    keys = dict.fromkeys(("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"), "any")
-    with patch.dict(os.environ, AWS_ENDPOINT_URL=address, AWS_DEFAULT_REGION="us-east-1", **keys):
-        bucket = path_or_url("s3://site")
-        bucket.mkdir()
-        yield bucket
-    server.stop()
 
 
 class _Scheduler:

@@ -2,7 +2,6 @@
 drives in parts, and sites of more and more sessions.
 """
 
-import hashlib
 import json
 import os
 import subprocess
@@ -29,6 +28,7 @@ from service.offline.site.paths import PATHS
 from service.recording.mcap_source import open_session
 from tests.accuracy.recorded import against_relations, mapped, rewrite
 from tests.bench import large_site
+from tests.bench.cluster import digest_of
 from tests.bench.site_drives import ELSEWHERE, SEEDS, record_drive
 from tests.shared_data import SHARED
 
@@ -56,7 +56,7 @@ def measure() -> list[Row]:
         with Cluster("local:2") as cluster:
             _build(results, folder / "cluster", cluster)
         for other in ("two", "cluster"):
-            assert _digest(folder / "one") == _digest(folder / other), f"other bytes by {other}"
+            assert digest_of(folder / "one") == digest_of(folder / other), f"other bytes by {other}"
         left_out = [f"site_{seed}" for seed in ELSEWHERE]
         assert list(report["left_out"]) == left_out, report["left_out"]
         last = folder / "r" / f"site_{LAST}"
@@ -136,17 +136,8 @@ def measure_sizes() -> list[Row]:
 
 def build_apart(results: Sequence[Path], out: Path) -> list[Row]:
     """By a process of its own, whose memory is only that of the build."""
-    command = [
-        sys.executable,
-        "-m",
-        "service",
-        "site",
-        "build",
-        *map(str, results),
-        "--out",
-        str(out),
-        "--json",
-    ]
+    command = [sys.executable, "-m", "service", "site", "build", *map(str, results)]
+    command += ["--out", str(out), "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         report = json.loads(process.stdout.read())
         _, status, used = os.wait4(process.pid, 0)
@@ -163,13 +154,6 @@ def build_apart(results: Sequence[Path], out: Path) -> list[Row]:
 
 def _build(sessions: Sequence[Path], out: Path, engine: Engine) -> dict[str, Any]:
     return site_build(sessions, ReplayOptions(), out, engine, lambda *_: None)
-
-
-def _digest(folder: Path) -> str:
-    digest = hashlib.sha256()
-    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-        digest.update(f"{path.relative_to(folder)}".encode() + path.read_bytes())
-    return digest.hexdigest()
 
 
 def _ate_m(site: Path, truths: dict[str, Path]) -> float:

@@ -4,6 +4,7 @@ import os
 import tempfile
 import time
 from pathlib import Path
+from unittest.mock import patch
 
 from tests.system.machine import FakeVehicle, LiveService, Subscriber
 
@@ -12,19 +13,14 @@ def measure() -> list[tuple[str, float, str]]:
     with tempfile.TemporaryDirectory() as folder:
         vehicle = FakeVehicle(Path(folder), stand_s=1e6)
         vehicle.start()
-        before = os.environ.get("NUMBA_CACHE_DIR")
-        os.environ["NUMBA_CACHE_DIR"] = str(Path(folder) / "kernels")
         try:
-            return [
-                (f"to the first pose, {cache} cache", _to_first_pose_s(Path(folder) / cache, vehicle), "s")
-                for cache in ("cold", "warm")
-            ]
+            with patch.dict(os.environ, NUMBA_CACHE_DIR=str(Path(folder) / "kernels")):
+                took_s = {
+                    cache: _to_first_pose_s(Path(folder) / cache, vehicle) for cache in ("cold", "warm")
+                }
         finally:
-            if before is None:
-                del os.environ["NUMBA_CACHE_DIR"]
-            else:
-                os.environ["NUMBA_CACHE_DIR"] = before
             vehicle.stop()
+    return [(f"to the first pose, {cache} cache", seconds, "s") for cache, seconds in took_s.items()]
 
 
 def _to_first_pose_s(folder: Path, vehicle: FakeVehicle) -> float:

@@ -1,6 +1,5 @@
 import json
 from dataclasses import replace
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from service.encoding import Status, encode_diagnostics, encode_frame, encode_gr
 from service.outputs import GraphPicture
 from tests.browser.conftest import DESKTOP, PHONE, begin_live, requested
 from tests.browser.scene import event, stamp
-from tests.in_background import started
 from tests.service.web.conftest import TOKEN
 
 EVENT_LINES = "return [...document.querySelectorAll('.events li span')].map((line) => line.textContent)"
@@ -206,35 +204,6 @@ def test_without_the_token_one_only_looks(page, serve, scene, dispatcher):
     page.element("token").send_keys(TOKEN, Keys.ENTER)
     page.wait_for_text("access-words", "Unlocked")
     assert page.element("do-mark").is_enabled()
-
-
-class ForeignPage(BaseHTTPRequestHandler):
-    """A page of somebody else: no policy keeps its scripts from speaking to whom they like."""
-
-    def do_GET(self) -> None:
-        self.send_response(200)
-        self.end_headers()
-        self.wfile.write(b"<!doctype html><title>elsewhere</title>")
-
-    def log_message(self, *_: object) -> None:
-        """Say nothing."""
-
-
-def test_a_page_of_elsewhere_cannot_open_the_socket(page, live):
-    with ThreadingHTTPServer(("127.0.0.1", 0), ForeignPage) as elsewhere:
-        serving = started(elsewhere.serve_forever)
-        try:
-            page.driver.get(f"http://127.0.0.1:{elsewhere.server_port}/")
-            ended = page.driver.execute_async_script(
-                "const done = arguments[1], socket = new WebSocket(arguments[0]);"
-                "socket.onopen = () => done('open'); socket.onerror = () => done('refused');",
-                live.address.replace("http", "ws") + "ws",
-            )
-        finally:
-            elsewhere.shutdown()
-            serving.result()
-    assert ended == "refused"
-    assert int(live.health().values["refused"]) == 1
 
 
 def test_it_comes_back_after_the_service_was_started_again(page, serve, scene, live):

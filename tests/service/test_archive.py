@@ -10,12 +10,12 @@ from queue import SimpleQueue
 
 import pytest
 from aiohttp import web
-from moto.server import ThreadedMotoServer
 from pyarrow import parquet
 
 from service.archive import path_or_url
 from service.cli import main
 from service.errors import InputError, UsageError
+from tests.s3_bucket import s3_bucket
 from tests.service.offline.cluster.test_cluster import results_in
 from tests.service.offline.conftest import record_drive
 from tests.service.offline.recorded_drives import RecordDrive
@@ -25,18 +25,8 @@ __all__ = ["record_drive"]  # a fixture
 
 @pytest.fixture(scope="module")
 def bucket() -> Iterator[Path]:
-    """An empty one of an S3 server that runs here."""
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("AWS_ENDPOINT_URL", "http://{}:{}".format(*server.get_host_and_port()))
-        patch.setenv("AWS_ACCESS_KEY_ID", "any")
-        patch.setenv("AWS_SECRET_ACCESS_KEY", "any")
-        patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
-        path = path_or_url("s3://site")
-        path.mkdir()
-        yield path
-    server.stop()
+    with s3_bucket() as opened:
+        yield opened
 
 
 def test_s3_is_source_and_sink_of_the_same_bytes(

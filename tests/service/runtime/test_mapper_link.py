@@ -91,13 +91,6 @@ class Drive:
             msg.FrameItem(number, frame.stamp_ns, arrived_ns, frame.sensor, message.type, message.payload)
         )
 
-    def load(self, folder: Path, version: int) -> list[msg.Answer]:
-        """Where the answer will be."""
-        answers: list[msg.Answer] = []
-        number = self.link.next_number()
-        self.link.submit(msg.LoadItem(number, number, str(folder), version), answers.append)
-        return answers
-
     def switch(self, profile: str) -> list[msg.Answer]:
         """Where the answer will be."""
         answers: list[msg.Answer] = []
