@@ -110,14 +110,11 @@ class XsensMtigSession(WatchedSession):
         dialogue = self._dialogue
         self._byte_ns = BITS_A_BYTE * 1e9 / dialogue.baud if dialogue.baud else 0.0
         self._silence.heard()
+        shared = (self._config, self.counters, self._health, self._silence)
         if dialogue.legacy is None:
-            self._clock = self._stream = Mtdata2Stream(
-                self._config, self.counters, self._health, self._silence, dialogue.output
-            )
+            self._clock = self._stream = Mtdata2Stream(*shared, dialogue.output)
         else:
-            self._clock = self._stream = LegacyStream(
-                self._config, self.counters, self._health, self._silence, dialogue.legacy
-            )
+            self._clock = self._stream = LegacyStream(*shared, dialogue.legacy)
 
     def _take_data(self, message: Message, arrived_ns: int) -> list[Frame]:
         assert self._stream is not None

@@ -1,18 +1,17 @@
 """Mountings of the sensors of a recording in the plane, from its static transforms."""
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.mounting import MAX_OFFSET_M
-from service.encoding import TF, Message, Transform, decode_transforms
+from service.encoding import TF, Transform, decode_transforms
 from service.errors import InputError
 from service.geometry.se2 import SE2
-from service.recording.mcap_reader import Topic
+from service.recording.mcap_reader import Readable
 
 MAX_TILT_DEG = 10.0  # what a planar mapper can take; upside down is fine
 SAME = 1e-3  # by which transforms of one mounting may differ, m and rad
@@ -33,14 +32,6 @@ class MountingError(Exception):
     """Why a sensor cannot be mapped with its mounting."""
 
 
-class Transforms(Protocol):
-    """A recording with transforms."""
-
-    topics: list[Topic]
-
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]: ...
-
-
 class StaticTree:
     """The static transforms of a recording: child -> parent with its 4 x 4 matrix.
 
@@ -50,7 +41,7 @@ class StaticTree:
     contradicted   child -> the first transform that came after the one in use and differs from it
     """
 
-    def __init__(self, recording: Transforms) -> None:
+    def __init__(self, recording: Readable) -> None:
         self._recording = recording
         self._knows_repeated = False
         self.parents: dict[str, tuple[str, Matrix]] = {}

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -111,10 +111,8 @@ GRAPH_REQUESTS: dict[str, type[Request]] = {  # of the graph of the profile that
 FindMap = Callable[[str, int | None], tuple[Path, int]]
 
 
-class CarryOut(Protocol):
-    """Runs between two frames; never blocks and raises nothing."""
-
-    def __call__(self, event: Message, outcome: Outcome) -> None: ...
+# Runs between two frames; never blocks and raises nothing.
+CarryOut = Callable[[Message, Outcome], None]
 
 
 class Commands:

@@ -34,10 +34,6 @@ MAX_ASKED = 64
 ABANDONED_S = 3600.0
 
 
-def open_sink(config: MapConfig, context: SinkContext) -> "MapSaver":
-    return MapSaver(config, context)
-
-
 class _Requested(NamedTuple):
     saved: SavedHeard
     name: str

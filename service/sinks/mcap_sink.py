@@ -28,10 +28,6 @@ _REASONS: Mapping[State, dict[str, str]] = {
 }
 
 
-def open_sink(config: RecordingConfig, context: SinkContext) -> "McapSink":
-    return McapSink(config, context)
-
-
 class McapSink(Sink):
     """Records from `start` on; a SessionRecorder."""
 

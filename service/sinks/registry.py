@@ -38,17 +38,14 @@ class SinkKind:
         return opener(section, context)
 
 
+_PUBLISHING = "service.publishing.config:PublishingConfig"
 # In the order in which they start: the map before the recording, for a start that it refuses leaves none.
 SINKS = (
-    SinkKind(
-        "publishing", "service.publishing.config:PublishingConfig", "service.sinks.zenoh_sink:open_sink"
-    ),
-    SinkKind("publishing", "service.publishing.config:PublishingConfig", "service.sinks.ros2_sink:open_sink"),
-    SinkKind(
-        "publishing", "service.publishing.config:PublishingConfig", "service.sinks.fleet_sink:open_sink"
-    ),
-    SinkKind("map", "service.mapstore.config:MapConfig", "service.sinks.map_saver:open_sink"),
-    SinkKind("recording", "service.recording.config:RecordingConfig", "service.sinks.mcap_sink:open_sink"),
+    SinkKind("publishing", _PUBLISHING, "service.sinks.zenoh_sink:ZenohSink"),
+    SinkKind("publishing", _PUBLISHING, "service.sinks.ros2_sink:open_sink"),
+    SinkKind("publishing", _PUBLISHING, "service.sinks.fleet_sink:open_sink"),
+    SinkKind("map", "service.mapstore.config:MapConfig", "service.sinks.map_saver:MapSaver"),
+    SinkKind("recording", "service.recording.config:RecordingConfig", "service.sinks.mcap_sink:McapSink"),
     SinkKind("web", "service.web.config:WebConfig", "service.sinks.web_sink:open_sink"),
     SinkKind(
         "foxglove", "service.sinks.foxglove_config:FoxgloveConfig", "service.sinks.foxglove_sink:open_sink"

@@ -22,13 +22,11 @@ NOT_AT_WORK = ("waiting", "stale")  # states of the mapping without fresh poses
 NOT_SENT = frozenset({"events", "map"})  # the publisher makes the map itself, when someone listens
 
 
-def open_sink(config: PublishingConfig, context: SinkContext) -> "ZenohSink":
-    """Raises StorageError where Zenoh cannot listen."""
-    return ZenohSink(config, context)
-
-
 class ZenohSink(Sink):
-    """Sends from the moment it is constructed; answers commands from `start` on."""
+    """Sends from the moment it is constructed; answers commands from `start` on.
+
+    Raises StorageError where Zenoh cannot listen.
+    """
 
     name = "zenoh"
 

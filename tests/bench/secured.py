@@ -134,7 +134,7 @@ def _drive(folder: Path, site: Path) -> tuple[npt.NDArray[np.float64], npt.NDArr
                 )
             )
 
-    with ExitStack() as opened, patch("service.sinks.zenoh_sink.open_sink", open_sinks):
+    with ExitStack() as opened, patch("service.sinks.zenoh_sink.ZenohSink", open_sinks):
         with simulators(options, folder / "truth.txt") as fakes:
             config = demo_config(fakes.endpoints, options, free_port())
             summary = run(config, SECONDS, folder / "map", give_up=fakes.fault, watch=subscribe)

@@ -82,24 +82,21 @@ class MapCommands:
     def _edit(self, requested: requested_by.Edit) -> dict[str, Any]:
         if not self._changing.acquire(blocking=False):
             raise InputError("another change of this map is being made; wait until it is done")
+        who, now_ns = requested.who.strip() or self._user, time.time_ns()
+        change = requested.change
         try:
-            return self._edit_alone(requested)
+            if isinstance(change, requested_by.UndoTo):
+                facts = map_edit.undo(self._folder, change.to, who, now_ns, requested.version)
+            else:
+                edit = as_edit(change)
+                facts = map_edit.edit_map(self._folder, change.what, edit, who, now_ns, requested.version)
+            self._take(load_map(self._folder))
+            return facts
         except map_edit.OvertakenError:
             self._take(load_map(self._folder))
             raise
         finally:
             self._changing.release()
-
-    def _edit_alone(self, requested: requested_by.Edit) -> dict[str, Any]:
-        who, now_ns = requested.who.strip() or self._user, time.time_ns()
-        change = requested.change
-        if isinstance(change, requested_by.UndoTo):
-            facts = map_edit.undo(self._folder, change.to, who, now_ns, requested.version)
-        else:
-            edit = as_edit(change)
-            facts = map_edit.edit_map(self._folder, change.what, edit, who, now_ns, requested.version)
-        self._take(load_map(self._folder))
-        return facts
 
     def _take(self, stored: StoredMap) -> None:
         self._stored = stored
