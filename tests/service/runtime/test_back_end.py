@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -61,26 +62,24 @@ def test_work_is_done_in_order_by_one_state_in_another_process(process: BackEndP
 
 
 def test_how_far_it_is_behind_is_the_age_of_the_oldest_work_without_an_answer(
-    process: BackEndProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    process: BackEndProcess, gate: Path, monkeypatch: pytest.MonkeyPatch
 ):
     now_s = 100.0
     monkeypatch.setattr(back_end, "time", SimpleNamespace(monotonic=lambda: now_s))
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
     worker = process.new_worker(Adder())
     assert process.behind_s == 0.0
-    first, second = worker.submit(pipe), worker.submit(1)
+    first, second = worker.submit(gate), worker.submit(1)
     now_s = 107.0
     third = worker.submit(2)
     assert process.behind_s == 7.0
-    pipe.write_bytes(b"go on")
+    gate.write_bytes(b"go on")
     wait_until(lambda: second.ready and third.ready, words="the work is not done")
     assert first.ready
     assert process.behind_s == 0.0
-    last = worker.submit(pipe)
+    last = worker.submit(gate)
     now_s = 109.0
     assert process.behind_s == 2.0
-    pipe.write_bytes(b"go on")  # a process that hangs would outlive the test
+    gate.write_bytes(b"go on")  # a process that hangs would outlive the test
     wait_until(lambda: last.ready, words="the work is not done")
     process.new_worker(Adder())
     assert process.behind_s == 0.0
@@ -93,13 +92,26 @@ def test_a_new_back_end_takes_the_place_of_one_that_is_closed(process: BackEndPr
     assert process.new_worker(Adder()).submit(2).result()[0] == 2
 
 
-def forked_from(process: BackEndProcess) -> BackEndProcess:
-    """What a fork of the mapper has of it."""
+@pytest.fixture
+def gate(tmp_path: Path) -> Path:
+    """A pipe: who reads it goes on once it is written to."""
+    path = tmp_path / "gate"
+    os.mkfifo(path)
+    return path
+
+
+@contextmanager
+def copied(process: BackEndProcess, tmp_path: Path) -> Iterator[BackEndProcess]:
+    """What a fork of the mapper has of the process, which is asked to copy itself."""
+    process.copy(tmp_path / "copy.sock")
     copy = BackEndProcess(patience_s=30.0)
     copy.__dict__.update(process.__dict__)
     copy._answers, copy._former, copy.pid = {}, [], None
     process._listener, copy._channel = None, None
-    return copy
+    try:
+        yield copy
+    finally:
+        copy.stop()
 
 
 def test_the_process_before_ends_and_a_copy_that_it_was_to_make_is_made(
@@ -108,15 +120,10 @@ def test_the_process_before_ends_and_a_copy_that_it_was_to_make_is_made(
     worker = process.new_worker(Adder())
     assert worker.submit(1).result()[0] == 1
     first_pid = process.pid
-    assert first_pid is not None
-    process.copy(tmp_path / "copy.sock")
-    copy = forked_from(process)
-    try:
+    with copied(process, tmp_path) as copy:
         assert process.new_worker(Adder()).submit(5).result()[0] == 5
         assert os.waitpid(first_pid, 0)[0] == first_pid
         assert ProcessWorker(copy).submit(1000).result()[0] == 1001
-    finally:
-        copy.stop()
 
 
 def test_when_the_process_is_killed_all_work_is_lost_and_nothing_hangs(
@@ -124,7 +131,6 @@ def test_when_the_process_is_killed_all_work_is_lost_and_nothing_hangs(
 ):
     worker = process.new_worker(Adder())
     worker.submit(1).result()
-    assert process.pid is not None
     hanging = worker.submit("hang")
     behind = worker.submit(2)
     os.kill(process.pid, signal.SIGKILL)
@@ -141,7 +147,6 @@ def test_where_a_copy_could_go_on_the_death_of_the_process_is_raised():
         worker = process.new_worker(Adder())
         worker.submit(1).result()
         hanging = worker.submit("hang")
-        assert process.pid is not None
         os.kill(process.pid, signal.SIGKILL)
         with pytest.raises(BackEndDiedError, match="process died"):
             hanging.result()
@@ -169,19 +174,15 @@ def test_waiting_has_an_end(caplog: pytest.LogCaptureFixture):
 
 
 def test_the_copy_of_a_back_end_knows_all_up_to_the_copy_and_nothing_after(
-    process: BackEndProcess, tmp_path: Path
+    process: BackEndProcess, gate: Path, tmp_path: Path
 ):
     """Who takes over has the answers that it has not got yet sent again. The back end is at work when it is
     asked to copy itself, and reads that together with the work behind it.
     """
-    gate = tmp_path / "gate"
-    os.mkfifo(gate)
     worker = process.new_worker(Adder())
     assert worker.submit(1).result()[0] == 1
     in_progress = worker.submit(gate)
-    process.copy(tmp_path / "copy.sock")
-    copy = forked_from(process)
-    try:
+    with copied(process, tmp_path) as copy:
         behind = worker.submit(100)
         gate.write_bytes(b"go on")
         assert in_progress.result()[0] == 11
@@ -189,51 +190,39 @@ def test_the_copy_of_a_back_end_knows_all_up_to_the_copy_and_nothing_after(
         assert ProcessJob(copy, 2).result()[0] == 11
         total, pid = ProcessWorker(copy).submit(1000).result()
         assert (total, pid != process.pid) == (1011, True)
-    finally:
-        copy.stop()
     wait_until(lambda: not is_there(pid))
 
 
 def test_a_copy_comes_though_its_mapper_died_while_the_back_end_was_at_work(
-    process: BackEndProcess, tmp_path: Path
+    process: BackEndProcess, gate: Path, tmp_path: Path
 ):
     """The answer that no one takes any more is the copy's."""
-    gate = tmp_path / "gate"
-    os.mkfifo(gate)
     worker = process.new_worker(Adder())
     assert worker.submit(1).result()[0] == 1
     worker.submit(gate)
-    process.copy(tmp_path / "copy.sock")
-    copy = forked_from(process)
-    try:
+    with copied(process, tmp_path) as copy:
         process._channel.close()
         gate.write_bytes(b"go on")
         assert ProcessJob(copy, 2).result()[0] == 11
         assert ProcessWorker(copy).submit(1000).result()[0] == 1011
-    finally:
-        copy.stop()
 
 
-def test_a_copy_is_made_after_two_batches_and_gets_those_that_waited(process: BackEndProcess, tmp_path: Path):
+def test_a_copy_is_made_after_two_batches_and_gets_those_that_waited(
+    process: BackEndProcess, gate: Path, tmp_path: Path
+):
     """The mapper is killed while 50 batches have no answer yet, more than a socket takes."""
-    gate = tmp_path / "gate"
-    os.mkfifo(gate)
     worker = process.new_worker(Adder())
     worker.submit(gate)
     for _ in range(50):
         last = worker.submit(b"0" * 100_000)
-    process.copy(tmp_path / "copy.sock")
-    copy = forked_from(process)
-    copy._is_spare = True
-    try:
+    with copied(process, tmp_path) as copy:
+        copy._is_spare = True
         process._channel.close()
         gate.write_bytes(b"go on")
         wait_until(lambda: ProcessJob(copy, 2).ready)
         assert len(copy._unsent) == 49  # the copy of a stand-by that waits does not do it all again
         copy.need()
         assert ProcessJob(copy, last._number).result()[0] == 10 + 50
-    finally:
-        copy.stop()
 
 
 def test_a_copy_is_expected_for_as_long_as_the_process_that_makes_it_computes(
@@ -244,20 +233,18 @@ def test_a_copy_is_expected_for_as_long_as_the_process_that_makes_it_computes(
     worker = process.new_worker(Adder())
     worker.submit("compute")
     pid = process.pid
-    assert pid is not None
     wait_until(lambda: (alive := look_at(pid)) is not None and alive.cpu_s > 0.1, words="it sleeps")
-    process.copy(tmp_path / "copy.sock")
-    copy = forked_from(process)
-    copy.need()
-    for _ in range(3):
+    with copied(process, tmp_path) as copy:
+        copy.need()
+        for _ in range(3):
+            now_s += back_end.CONNECT_S + 1.0
+            copy.look()
+            assert copy.fault == ""
+        process.stop()
+        copy.look()
         now_s += back_end.CONNECT_S + 1.0
         copy.look()
-        assert copy.fault == ""
-    process.stop()
-    copy.look()
-    now_s += back_end.CONNECT_S + 1.0
-    copy.look()
-    assert "of the stand-by did not come" in copy.fault
+        assert "of the stand-by did not come" in copy.fault
 
 
 def test_a_copy_that_does_not_come_costs_the_loops_and_nothing_else(
@@ -268,7 +255,6 @@ def test_a_copy_that_does_not_come_costs_the_loops_and_nothing_else(
     worker = process.new_worker(Adder())
     hanging = worker.submit("hang")
     process.copy(tmp_path / "copy.sock")
-    assert process.pid is not None
     process.forked(is_copy=False)
     assert not hanging.ready
     copy = BackEndProcess(patience_s=30.0)
