@@ -51,7 +51,6 @@ def with_companions(
     speed_mps: float | None = None,
     sway_m: float = 0.03,
     stay: bool = False,
-    radius_m: float = PERSON_RADIUS_M,
     seed: int = 0,
 ) -> World:
     """The world with people who walk along with the vehicle from from_s to to_s, one at each of `offsets`.
@@ -74,7 +73,7 @@ def with_companions(
             Walk(
                 tuple(times_s),
                 tuple((float(x), float(y)) for x, y in stands),
-                radius_m,
+                PERSON_RADIUS_M,
                 from_s,
                 math.inf if stay else to_s,
             )

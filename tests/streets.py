@@ -19,7 +19,7 @@ CORNERS = ((0.0, 0.0), (LENGTH_M, 0.0), (LENGTH_M, WIDTH_M), (0.0, WIDTH_M))
 SEED = 2000
 
 
-def streets(speed_mps: float = 5.0) -> World:
+def streets() -> World:
     """A lap takes about 7 min at 5 m/s. The drive does not repeat."""
     rng = np.random.default_rng(SEED)
     plan = Plan()
@@ -28,7 +28,7 @@ def streets(speed_mps: float = 5.0) -> World:
         _draw_side(plan, rng, begin, end, outward=-1.0)
         _draw_side(plan, rng, begin, end, outward=1.0)
     path: list[Point] = [*CORNERS[1:], CORNERS[0], (START.x_m + OVERLAP_M, 0.0)]
-    limits = Limits(speed_mps=speed_mps, acceleration_mps2=1.0, lateral_mps2=1.5)
+    limits = Limits(speed_mps=5.0, acceleration_mps2=1.0, lateral_mps2=1.5)
     legs: list[Leg] = [Follow(path, corner_radius_m=8.0), Pause(1.0)]
     return make_world("streets", plan, [], plan_drive(START, legs, limits))
 

@@ -51,11 +51,11 @@ def scale_bar_m(width_m: float, share: float = BAR_SHARE) -> float:
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= most)
 
 
-def known_part(picture: Picture, margin: int = MARGIN, foot: int = 0, least_width: int = 0) -> Picture:
-    """The part of a map that is known, with so many pixels around, and below besides."""
+def known_part(picture: Picture, foot: int = 0, least_width: int = 0) -> Picture:
+    """The part of a map that is known, with a margin around, and so many pixels below besides."""
     left, right, top, bottom = _known(picture)
-    first_row, first_column = top - margin, left - margin
-    rows, width = bottom - top + 2 * margin + foot, max(right - left + 2 * margin, least_width)
+    first_row, first_column = top - MARGIN, left - MARGIN
+    rows, width = bottom - top + 2 * MARGIN + foot, max(right - left + 2 * MARGIN, least_width)
     return Picture(
         width,
         rows,
@@ -71,7 +71,7 @@ def annotated(picture: Picture, paths: Sequence[Floats] = ()) -> Picture:
 
     paths   (N, 2) m in the map each, N > 0: positions of the base in the order driven. A line each
     """
-    shown = known_part(picture, MARGIN, FOOT, MIN_WIDTH)
+    shown = known_part(picture, FOOT, MIN_WIDTH)
     cell_m = shown.cell_m
 
     def line(points: Floats) -> tuple[Places, Places]:

@@ -125,15 +125,15 @@ def restore_version(folder: Path, number: int, saved_ns: int, edit: Edit) -> int
     return _publish(folder, _linked(folder / _name(number)), saved_ns, stored.about, edit)
 
 
-def adopt_version(folder: Path, source: Path) -> int:
-    """Make the files that lie in `source` beside their manifest the next version of the map in `folder`; its
-    number. They are linked: the same disk.
+def adopt_version(folder: Path, source: Path) -> None:
+    """Make the files that lie in `source` beside their manifest the next version of the map in `folder`. They
+    are linked: the same disk.
 
     Raises InputError where one is missing or damaged, StorageError as save_map.
     """
     manifest = read_manifest(source)
     check_files(source, manifest)
-    return _publish(folder, _linked(source), manifest.saved_ns, manifest.about, manifest.edit)
+    _publish(folder, _linked(source), manifest.saved_ns, manifest.about, manifest.edit)
 
 
 def _linked(source: Path) -> Callable[[Path], list[str]]:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.mapper.profiles import MappingConfig
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Trip, nees_of
 from tests.accuracy.sensors import GOOD_WHEELS, LUX_AHEAD
@@ -26,15 +25,11 @@ TRIPS = {
 }
 
 
-def nees_by_trip(seeds: Sequence[int], config: MappingConfig | None = None) -> dict[str, list[float]]:
-    return {
-        name: [nees_of(done.outputs, done.errors) for _, done in trip.runs(seeds, config)]
+def consistency(seeds: Sequence[int]) -> Section:
+    nees = {
+        name: [nees_of(done.outputs, done.errors) for _, done in trip.runs(seeds)]
         for name, trip in TRIPS.items()
     }
-
-
-def consistency(seeds: Sequence[int]) -> Section:
-    nees = nees_by_trip(seeds)
     every = np.concatenate(list(nees.values()))
     mean, unit = [float(every.mean())], f"of {EXPECTED:.0f}"
     within = 100.0 * float(np.mean((every >= EXPECTED / 3.0) & (every <= 2.0 * EXPECTED)))

@@ -119,7 +119,6 @@ def localised(seeds: Sequence[int]) -> Section:
     for frame in drive(world, laser, 1.2 * lap_s, 1, WHEELS, stand_s=0.0).frames:
         mapped.process(frame)
     graph = mapped.finish().update.saved
-    assert graph is not None
     begin = BeginIn(graph, rendered_of(mapped.changed_tiles()))
     old = build_mapper(mapping_config({"mode": "localization"}), mountings, begin_in=begin)
     lap = drive(world, laser, lap_s, 2, WHEELS, stand_s=0.0).frames

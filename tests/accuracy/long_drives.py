@@ -81,10 +81,9 @@ def slipping(world: World, seed: int) -> Wheels:
     return Wheels(slips=slips)
 
 
-def thinned_drive(seed: int, seconds: float | None = None) -> Drive:
-    """seconds: None: all of it"""
+def thinned_drive(seed: int) -> Drive:
     world = begun_at(corridors(np.random.default_rng(seed)), heading_rad(seed))
-    made = drive(world, THINNED, seconds or world.drive.duration_s, seed, slipping(world, seed))
+    made = drive(world, THINNED, world.drive.duration_s, seed, slipping(world, seed))
     odometry = [frame for frame in made.frames if isinstance(frame, OdometrySample)]
     left_out = {id(frame) for k, frame in enumerate(odometry) if k % ODOMETRY_EACH}
     return replace(made, frames=[frame for frame in made.frames if id(frame) not in left_out])
@@ -105,9 +104,8 @@ class Thinned:
         return float(sum(o.state == "lost" and o.stamp_ns >= since_ns for o in self.run.outputs))
 
 
-def thinned_run(seed: int, seconds: float | None = None) -> Thinned:
-
-    made = thinned_drive(seed, seconds)
+def thinned_run(seed: int) -> Thinned:
+    made = thinned_drive(seed)
     done = run_session(mapping_config(), made)
     with tempfile.TemporaryDirectory() as folder:
         session = record(made.frames, {THINNED.name: THINNED.mounting}, Path(folder), BEGIN_NS)

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from drivers.frames import OdometrySample
 from service.encoding import LASER_SCAN, ODOMETRY, decode_frame, encode_frame
 from service.geometry.poses import between, compose
 from service.geometry.se2 import SE2
@@ -19,7 +18,6 @@ from service.offline.replay.replay import Replay, ReplayOptions, replay, write_r
 from service.offline.score.score import (
     NEAR_NS,
     RelationErrors,
-    RelationsScore,
     TrajectoryScore,
     read_relations,
     score,
@@ -82,7 +80,6 @@ class ScaledOdometry:
         if type_name != ODOMETRY:
             return payload
         sample = decode_frame(type_name, payload, "base", 0)
-        assert isinstance(sample, OdometrySample)
         pose = SE2(sample.x_m, sample.y_m, sample.theta_rad)
         if self._last is not None:
             step = (self._last.inverse() @ pose).log()
@@ -172,15 +169,11 @@ def lost_percent(done: Replay) -> float:
 
 
 def against_truth(estimate: Path, truth: Path) -> TrajectoryScore:
-    found = score(estimate, truth)
-    assert isinstance(found, TrajectoryScore)
-    return found
+    return score(estimate, truth)
 
 
 def against_relations(
     estimate: Path, relations: Path, shift_s: float = 0.0, offset_x_m: float = 0.0
 ) -> RelationErrors:
     """In Kuemmerle's order, expected^-1 * relative."""
-    found = score(estimate, relations, shift_s, offset_x_m)
-    assert isinstance(found, RelationsScore)
-    return found.errors[0]
+    return score(estimate, relations, shift_s, offset_x_m).errors[0]

@@ -85,7 +85,7 @@ class Starts:
 
     all: list[Start] = field(default_factory=list)
 
-    def rows(self, case: str, how: str, cause: str = "", at_least: float | None = 98.0) -> list[Row]:
+    def rows(self, case: str, how: str, cause: str = "") -> list[Row]:
         count = len(self.all)
         if not count:
             return []
@@ -105,7 +105,7 @@ class Starts:
                 [100.0 * (len(right) + alike) / count],
                 "%",
                 case,
-                at_least=at_least,
+                at_least=98.0,
                 cause=cause,
             ),
             one("lost", float(len(lost)), "places"),
@@ -306,7 +306,6 @@ def _mapped(frames: Sequence[Frame], mountings: Mapping[str, SE2]) -> tuple[Begi
     outputs = [output for frame in frames if (output := mapper.process(frame)) is not None]
     finished = mapper.finish()
     graph = finished.update.saved
-    assert graph is not None
     poses = corrected(outputs, finished.corrections)
     at = {output.stamp_ns: np.array(pose) for output, pose in zip(outputs, poses, strict=True)}
     return BeginIn(graph, rendered_of(mapper.changed_tiles())), at

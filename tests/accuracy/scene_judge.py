@@ -118,9 +118,7 @@ def judge(
     )
 
 
-def trace(
-    outputs: Sequence[MapperOutput], truth: Sequence[SE2], from_ns: int, each_s: float = 1.0
-) -> list[str]:
+def trace(outputs: Sequence[MapperOutput], truth: Sequence[SE2], from_ns: int) -> list[str]:
     """A line for each second: how far off, what the covariance says, the state."""
     errors = errors_in_map(outputs, truth, from_ns)
     lines, next_ns = [], outputs[0].stamp_ns
@@ -128,7 +126,7 @@ def trace(
     for output, error, pose in zip(outputs, errors, truth, strict=True):
         if output.stamp_ns < next_ns:
             continue
-        next_ns += round(each_s * 1e9)
+        next_ns += 1_000_000_000
         sigma_m = math.sqrt(float(np.linalg.eigvalsh(output.covariance[:2, :2])[1]))
         lines.append(
             f"{1e-9 * (output.stamp_ns - first_ns):6.2f} s  off {math.hypot(*error[:2]):7.3f} m"

@@ -109,16 +109,16 @@ BENCHES = {
 }
 
 
-def faulty(device: FakeDevice, *lines: str, seed: int = 1, zero_ns: int = ZERO_NS) -> Faulty:
+def faulty(device: FakeDevice, *lines: str, seed: int = 1) -> Faulty:
     """The device with these faults: lines of YAML without the device's name."""
     text = "faults:\n" + "".join(f"  - {{device: x, {line}}}\n" for line in lines)
-    return Faulty(device, parse_faults(text, "faults.yaml", {"x": device}), seed, zero_ns)
+    return Faulty(device, parse_faults(text, "faults.yaml", {"x": device}), seed, ZERO_NS)
 
 
-def linked(name: str, *lines: str, seed: int = 1) -> VirtualLink:
+def linked(name: str, *lines: str) -> VirtualLink:
     """A device of that bench with these faults, and its link."""
     bench = BENCHES[name]
     link: VirtualLink
     sessions = bench.sessions(lambda: link.now_ns)
-    link = VirtualLink(sessions, faulty(bench.device(), *lines, seed=seed), ZERO_NS)
+    link = VirtualLink(sessions, faulty(bench.device(), *lines), ZERO_NS)
     return link

@@ -13,14 +13,14 @@ WRAP = 2**32
 class Stream:
     """Messages of a device whose clock runs `drift_ppm` fast, wanders, and whose messages come late."""
 
-    def __init__(self, seed, count=3000, drift_ppm=100.0, wander_ppm=0.0, start_us=WRAP - 5_000_000):
+    def __init__(self, seed, count=3000, drift_ppm=100.0, wander_ppm=0.0):
         self.rng = np.random.default_rng(seed)
         self.sent_s = 50.0 + np.arange(count) * PERIOD_S
         turn = 2 * np.pi * self.sent_s / 240.0
         device_s = self.sent_s * (1 + drift_ppm * 1e-6) - wander_ppm * 1e-6 * 240.0 / (2 * np.pi) * np.cos(
             turn
         )
-        self.ticks = np.rint((device_s - device_s[0]) * 1e6).astype(np.int64) + start_us
+        self.ticks = np.rint((device_s - device_s[0]) * 1e6).astype(np.int64) + WRAP - 5_000_000
         jitter_s = self.rng.uniform(0.0, 3e-3, count)
         late = self.rng.random(count) < 0.05
         jitter_s[late] += self.rng.uniform(0.0, 50e-3, int(late.sum()))

@@ -1,25 +1,10 @@
 """Jumps of the device's clock are distinguished from late messages; the era ends and nothing happens."""
 
-import numpy as np
-
 from drivers.ibeo_lux.device_clock import DeviceClock
 from tests.drivers.lux import ntp, scan
 from tests.drivers.virtual_time import SECOND_NS
 
 PERIOD_NS = 40_000_000
-
-
-def feed(
-    clock, numbers, at_ns=lambda k: 10 * SECOND_NS + k * PERIOD_NS, late_ns=lambda k: 1_000_000, status=0x030B
-):
-    """Scans k = 0, 1, ... with these numbers; gives what the clock says of each end, minus the truth."""
-    errors_ns = []
-    for k, number in enumerate(numbers):
-        made = scan(number=number % 65_536, start_ns=at_ns(k), status=status)
-        ended_ns = 77 * SECOND_NS + k * PERIOD_NS
-        clock.observe(made, PERIOD_NS, ended_ns + late_ns(k))
-        errors_ns.append(clock.to_host_ns(made.end_ntp) - ended_ns)
-    return np.array(errors_ns)
 
 
 def test_missing_scans_and_late_ones_are_no_jump():
@@ -43,7 +28,10 @@ def test_clock_that_is_set_while_scans_are_missing_is_learnt_again_at_once():
 
 def test_mirror_that_comes_up_to_speed_is_no_jump():
     clock = DeviceClock(0)
-    feed(clock, range(40), lambda k: 10 * SECOND_NS + k * (PERIOD_NS + 20_000_000 // (k + 1)), status=0x0303)
+    for k in range(40):
+        start_ns = 10 * SECOND_NS + k * (PERIOD_NS + 20_000_000 // (k + 1))
+        made = scan(number=k, start_ns=start_ns, status=0x0303)
+        clock.observe(made, PERIOD_NS, 77 * SECOND_NS + k * PERIOD_NS + 1_000_000)
     assert clock.jumps == 0
 
 

@@ -67,9 +67,9 @@ def seeds_text(seeds: Sequence[int]) -> str:
 Scenario = Callable[[Sequence[int]], Section]  # from the seeds
 
 
-def write_page(path: Path, head: str, made: Mapping[str, tuple[Section, str]], order: Sequence[str]) -> str:
+def write_page(path: Path, head: str, made: Mapping[str, tuple[Section, str]], order: Sequence[str]) -> None:
     """Replace the sections of the scenarios that were made, each with what it ran on; the others stay, and
-    those that no scenario wrote stay behind them. Returns the page's text. Raises OSError.
+    those that no scenario wrote stay behind them. Raises OSError.
     """
     sections = _read(path.read_text(encoding="utf-8")) if path.exists() else {}
     for name, (section, ran) in made.items():
@@ -79,7 +79,6 @@ def write_page(path: Path, head: str, made: Mapping[str, tuple[Section, str]], o
     text = "\n".join([head, *(sections[name] for name in [*order, *own] if name in sections)])
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
-    return text
 
 
 def _read(text: str) -> dict[str, str]:

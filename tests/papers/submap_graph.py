@@ -15,9 +15,7 @@ import numpy as np
 from drivers.frames import LaserScan
 from service.geometry.poses import points_from
 from service.geometry.se2 import SE2
-from service.mapper.background import InlineWorker
 from service.mapper.corrections import corrected
-from service.mapper.papers.submap_graph.graph.landmark_back_end import LandmarkBackEnd
 from service.mapper.profiles import build_mapper, mapping_config
 from service.offline.score.score import align
 from simulators.world import World
@@ -26,14 +24,14 @@ from simulators.worlds.mall import mall
 from simulators.worlds.office import office
 from tests.papers.pictures import draw_scale, end_points, plt, save
 from tests.papers.report import Row, Section, seeds_text
-from tests.simulated import FORWARD, LMS100_50HZ, Drive, Laser, Wheels, begun_beside, drive, phase_m
+from tests.papers.submap_hours import CART, mapper_and_back_ends
+from tests.simulated import FORWARD, Drive, Wheels, begun_beside, drive, phase_m
 
 CHECK_POINTS = 20
 BESIDE_M = 0.15  # end points that give the position of a check point in the map
 SEEN = 4  # scans that see a place, at least
 NEAR_M = 8.0  # returns from farther away are left out of it
 EVERY = 5  # scans: so many as one are asked where walls are
-CART = Laser(LMS100_50HZ.model, 541, 5.0, -135.0, 0.5)  # every tenth sweep
 SINGLE = {"local_map": {"length_m": 1e6}}
 SHORT = "on a lap of 115 m one map drifts by centimetres only before it meets its first walls again"
 KEEPS = "the scans of every pass are kept, packed, for landmarks and to draw the map again"
@@ -176,14 +174,7 @@ def against_single(seeds: Sequence[int]) -> Section:
 def memory(seeds: Sequence[int]) -> Section:
     """D8: lap after lap round the office, without new walls."""
     ride = driven(LAPS, seeds[0])
-    back_ends: list[LandmarkBackEnd] = []
-
-    def new_worker(back_end: LandmarkBackEnd) -> InlineWorker:
-        back_ends.append(back_end)
-        return InlineWorker(back_end)
-
-    config = mapping_config({"profile": "submap_graph"})
-    mapper = build_mapper(config, {"front": FORWARD}, new_worker=new_worker)  # type: ignore[arg-type]
+    mapper, back_ends = mapper_and_back_ends()
     lap_s = office().drive.duration_s
     tiles, kept_mb, path_length_m, walls_mb = [0] * LAP_COUNT, [0.0] * LAP_COUNT, [0.0] * LAP_COUNT, 0.0
     for frame in ride.frames:
@@ -277,7 +268,7 @@ def run(
     section = {"profile": "submap_graph", "settings": settings or {}}
     if not graph:
         section["components"] = {"graph": "no_graph"}
-    mapper = build_mapper(mapping_config(section), {"front": FORWARD}, new_worker=InlineWorker)
+    mapper = build_mapper(mapping_config(section), {"front": FORWARD})
     outputs, began_s = [], time.thread_time()
     for frame in what.frames:
         output = mapper.process(frame)

@@ -12,6 +12,7 @@ from drivers.frames import Frame, LaserScan, OdometrySample
 from service.compile.warm_up import warm_up
 from service.mapper.background import InlineWorker
 from service.mapper.papers.submap_graph.graph.landmark_back_end import LandmarkBackEnd
+from service.mapper.pipeline import Mapper
 from service.mapper.profiles import build_mapper, mapping_config
 from simulators.truth import LaserTruth, Ride
 from simulators.worlds.floor import floor
@@ -20,7 +21,19 @@ from tests.simulated import FORWARD, LMS100_50HZ, Laser, Wheels, begun_beside, o
 
 HOURS_S = 7200.0
 REPORTED_S = 600.0
-CART = Laser(LMS100_50HZ.model, 541, 5.0, -135.0, 0.5)
+CART = Laser(LMS100_50HZ.model, 541, 5.0, -135.0, 0.5)  # every tenth sweep
+
+
+def mapper_and_back_ends() -> tuple[Mapper, list[LandmarkBackEnd]]:
+    """With the graph in this process; the list holds its back end."""
+    back_ends: list[LandmarkBackEnd] = []
+
+    def new_worker(back_end: LandmarkBackEnd) -> InlineWorker:
+        back_ends.append(back_end)
+        return InlineWorker(back_end)
+
+    config = mapping_config({"profile": "submap_graph"})
+    return build_mapper(config, {"front": FORWARD}, new_worker=new_worker), back_ends  # type: ignore[arg-type]
 
 
 def frames(ride: Ride, wheels: list[OdometrySample], seconds: float, seed: int) -> Iterator[Frame]:
@@ -36,15 +49,8 @@ def frames(ride: Ride, wheels: list[OdometrySample], seconds: float, seed: int) 
 def main(seed: int, seconds: float) -> None:
     ride = Ride(begun_beside(floor(layout=seed), *phase_m(seed)), 0, 0.5)
     wheels = odometry(ride, Wheels(scale=1.01, turn_scale=1.01), seconds, seed)
-    config = mapping_config({"profile": "submap_graph"})
     warm_up()
-    back_ends: list[LandmarkBackEnd] = []
-
-    def new_worker(back_end: LandmarkBackEnd) -> InlineWorker:
-        back_ends.append(back_end)
-        return InlineWorker(back_end)
-
-    mapper = build_mapper(config, {"front": FORWARD}, new_worker=new_worker)  # type: ignore[arg-type]
+    mapper, back_ends = mapper_and_back_ends()
     before_mb, first, facts, began_s, worked_s = resident_mb(), ride.pose(0), [], time.thread_time(), 0.0
     for frame in frames(ride, wheels, seconds, seed):
         output = mapper.process(frame)

@@ -72,8 +72,8 @@ def bits(frame: Frame) -> tuple[object, ...]:
     return (type(frame), *(np.asarray(f).tobytes() if not isinstance(f, str | None) else f for f in fields))
 
 
-def through_the_wire(frame: Frame, utc_offset_ns: int = 0) -> Frame | None:
-    message = encode_frame(frame, utc_offset_ns)
+def through_the_wire(frame: Frame) -> Frame | None:
+    message = encode_frame(frame)
     return decode_frame(message.type, message.payload, frame.sensor, message.log_ns)
 
 
@@ -143,16 +143,12 @@ fixes = st.builds(
 @given(scans() | imu_samples | odometry_samples | fixes)
 def test_a_frame_that_went_through_the_wire_once_never_changes_again(frame):
     once = through_the_wire(frame)
-    assert once is not None
-    again = through_the_wire(once)
-    assert again is not None
-    assert bits(again) == bits(once)
+    assert bits(through_the_wire(once)) == bits(once)
 
 
 @given(odometry_samples)
 def test_odometry_keeps_its_heading_to_a_picoradian(sample):
     decoded = through_the_wire(sample)
-    assert isinstance(decoded, OdometrySample)
     assert abs(math.remainder(decoded.theta_rad - sample.theta_rad, math.tau)) < 1e-12
     assert (decoded.x_m, decoded.y_m, decoded.twist_mps_radps, decoded.covariance) == (
         sample.x_m,
@@ -169,7 +165,6 @@ def test_a_scan_keeps_all_that_a_mapper_needs():
     assert message.stamp_ns == original.stamp_ns + T0_NS
     assert message.log_ns == original.arrived_ns + T0_NS
     decoded = decode_frame(message.type, message.payload, "front", message.log_ns)
-    assert isinstance(decoded, LaserScan)
     assert decoded.stamp_ns == message.stamp_ns
     assert decoded.arrived_ns == message.log_ns
     assert decoded.beam_interval_ns == 27_778
@@ -217,13 +212,11 @@ def test_foreign_ranges_outside_the_limits_are_no_return():
     """range_min itself, as float32, is a distance; range_max itself is "nothing seen" for many drivers."""
     ranges = [5.0, 0.1, 0.05, 0.0, -1.0, 10.0, 10.5, np.inf, -np.inf, np.nan]
     decoded = decode_frame(encoding.LASER_SCAN, ros_scan(ranges), "laser", 9)
-    assert isinstance(decoded, LaserScan)
     assert np.isfinite(decoded.range_m).tolist() == [True, True, *[False] * 8]
 
 
 def test_a_foreign_zero_is_no_return_even_where_range_min_is_zero():
     decoded = decode_frame(encoding.LASER_SCAN, ros_scan([0.0, 1.0], range_min=0.0), "laser", 9)
-    assert isinstance(decoded, LaserScan)
     assert np.isnan(decoded.range_m[0])
 
 
@@ -238,7 +231,6 @@ def test_a_scan_whose_range_limits_contradict_each_other_is_no_use(range_min, ra
 @pytest.mark.parametrize("range_max", [0.0, np.inf, np.nan])
 def test_a_foreign_scan_without_range_max_keeps_its_ranges(range_max):
     decoded = decode_frame(encoding.LASER_SCAN, ros_scan([50.0, np.inf], range_max=range_max), "laser", 9)
-    assert isinstance(decoded, LaserScan)
     assert decoded.range_m[0] == 50.0
     assert np.isnan(decoded.range_m[1])
     assert decoded.range_max_m == 100.0
@@ -248,7 +240,6 @@ def test_a_foreign_scan_without_times_is_one_instant():
     decoded = decode_frame(
         encoding.LASER_SCAN, ros_scan([1.0], time_increment=np.nan, scan_time=-1.0), "laser", 9
     )
-    assert isinstance(decoded, LaserScan)
     assert (decoded.beam_interval_ns, decoded.scan_period_ns) == (0, 0)
     assert decoded.stamp_ns == 12_000_000_034
 
@@ -256,7 +247,6 @@ def test_a_foreign_scan_without_times_is_one_instant():
 def test_a_foreign_scan_may_sweep_clockwise_and_bring_senseless_intensities():
     payload = ros_scan([1.0, 2.0], angle_increment=-0.25, intensities=np.ones(1, np.float32))
     decoded = decode_frame(encoding.LASER_SCAN, payload, "laser", 9)
-    assert isinstance(decoded, LaserScan)
     assert decoded.angle_step_rad == -0.25
     assert decoded.intensity.size == 0
 
@@ -265,7 +255,6 @@ def test_a_scan_whose_last_beam_was_measured_first_is_turned_into_the_order_of_t
     """As drivers of lasers mounted upside down send it: ranges turned round, time_increment below 0."""
     payload = ros_scan([1.0, 2.0, 3.0], time_increment=-1e-3, intensities=np.arange(3, dtype=np.float32))
     decoded = decode_frame(encoding.LASER_SCAN, payload, "laser", 9)
-    assert isinstance(decoded, LaserScan)
     assert decoded.range_m.tolist() == [3.0, 2.0, 1.0]
     assert decoded.intensity.tolist() == [2.0, 1.0, 0.0]
     assert decoded.range_m.flags.c_contiguous
@@ -279,7 +268,6 @@ def test_big_endian_scans_read_the_same():
     message = STORE.deserialize_cdr(ros_scan([1.5, 2.5]), encoding.LASER_SCAN)
     payload = serialized(message, encoding.LASER_SCAN, little_endian=False)
     decoded = decode_frame(encoding.LASER_SCAN, payload, "laser", 9)
-    assert isinstance(decoded, LaserScan)
     assert decoded.range_m.tolist() == [1.5, 2.5]
     assert decoded.range_m.dtype.isnative
 
@@ -333,7 +321,6 @@ def test_a_fix_comes_back_bit_for_bit(fix):
     message = encode_frame(fix)
     assert (message.channel, message.type) == (f"{fix.sensor}/fix", "sensor_msgs/msg/NavSatFix")
     decoded = through_the_wire(fix)
-    assert decoded is not None
     if any(fix.covariance):
         assert bits(decoded) == bits(fix)
     else:
@@ -355,7 +342,6 @@ def test_a_fix_is_an_ordinary_ros_message():
 def test_a_receiver_without_a_fix_has_no_place():
     lost = GnssFix("imu", 1, 2, -1, 0.0, 0.0, 0.0, (1.0,) * 9)
     decoded = through_the_wire(lost)
-    assert isinstance(decoded, GnssFix)
     assert decoded.status == -1
     assert math.isnan(decoded.latitude_deg)
     assert not any(decoded.covariance)
@@ -366,7 +352,6 @@ def test_a_fix_without_an_altitude_is_content():
     """sensor_msgs/NavSatFix: "quiet NaN if no altitude is available"."""
     flat = GnssFix("imu", 1, 2, 0, 60.161, 24.546, math.nan, (4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0))
     decoded = through_the_wire(flat)
-    assert isinstance(decoded, GnssFix)
     assert math.isnan(decoded.altitude_m)
     assert (decoded.latitude_deg, decoded.covariance) == (60.161, flat.covariance)
     endless = GnssFix("imu", 1, 2, 0, 60.161, 24.546, math.inf, flat.covariance)
@@ -382,7 +367,6 @@ def test_odometry_of_a_tilted_foreign_base_gives_its_yaw():
     q.w, q.x = math.cos(yaw / 2) * math.cos(roll / 2), math.cos(yaw / 2) * math.sin(roll / 2)
     q.y, q.z = math.sin(yaw / 2) * math.sin(roll / 2), math.sin(yaw / 2) * math.cos(roll / 2)
     decoded = decode_frame(encoding.ODOMETRY, serialized(content, encoding.ODOMETRY), "base", 9)
-    assert isinstance(decoded, OdometrySample)
     assert decoded.theta_rad == pytest.approx(yaw)
 
 

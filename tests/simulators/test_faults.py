@@ -34,7 +34,6 @@ class Counting:
         return self._next_ns
 
     def due(self, now_ns: int) -> bytes:
-        assert self._next_ns is not None
         assert self._next_ns <= now_ns
         message = b"<%06d>" % ((self._next_ns - self._start_ns) // MS + self._ahead_ms)
         self._next_ns += PERIOD_NS

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from drivers.frames import Frame, ImuSample, LaserScan, OdometrySample
+from drivers.frames import Frame, ImuSample
 from service.encoding import IMU, LASER_SCAN, ODOMETRY, decode_frame
 from service.geometry.se2 import SE2
 from simulators.device import Beams, FakeDevice
@@ -44,8 +44,6 @@ def published(device: FakeDevice, message_type: str, seconds: float) -> list[Fra
 
 def test_scans_are_those_of_the_laser_at_the_moment_of_their_stamp(ride: Ride):
     first, second = published(node("ros2_scan", ride, x_m=0.3, rate_hz=20.0), LASER_SCAN, 0.11)
-    assert isinstance(first, LaserScan)
-    assert isinstance(second, LaserScan)
     assert second.stamp_ns - first.stamp_ns == 50_000_000
     source = LaserTruth(ride, "it", SE2(0.3, 0.0, 0.0), LMS100, 1)
     sweep = source.sweep(
@@ -59,7 +57,6 @@ def test_scans_are_those_of_the_laser_at_the_moment_of_their_stamp(ride: Ride):
 def test_odometry_follows_the_drive(ride: Ride):
     samples = published(node("ros2_odom", ride), ODOMETRY, 6.0)
     begin, last = ride.pose(START_NS), samples[-1]
-    assert isinstance(last, OdometrySample)
     at_ns = START_NS + round((len(samples) - 1) * 2e7)
     true = begin.inverse() @ ride.pose(at_ns)
     path_length_m = math.hypot(true.x_m, true.y_m)

@@ -43,7 +43,6 @@ class Ticker:
         return self._next_ns
 
     def due(self, now_ns: int) -> bytes:
-        assert self._next_ns is not None
         self.lateness_ns.append(now_ns - self._next_ns)
         self._next_ns += self._period_ns
         return self._tick

@@ -10,8 +10,8 @@ from simulators.world import Plan, World, make_world, walk
 NO_PEOPLE = np.empty((0, 5))
 
 
-def world_of(plan: Plan, start: SE2 | None = None, people=()) -> World:
-    return make_world("test", plan, people, plan_drive(start or SE2(), []))
+def world_of(plan: Plan, people=()) -> World:
+    return make_world("test", plan, people, plan_drive(SE2(), []))
 
 
 def range_along(world: World, x_m: float, y_m: float, angle_deg: float) -> float:

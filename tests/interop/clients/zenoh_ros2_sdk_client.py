@@ -68,9 +68,9 @@ class Inbox:
             self.arrived_s.append(time.time())
             self._changed.notify_all()
 
-    def wait(self, what: str, count: int, timeout_s: float = TIMEOUT_S) -> None:
+    def wait(self, what: str, count: int) -> None:
         with self._changed:
-            there = self._changed.wait_for(lambda: len(self.messages) >= count, timeout_s)
+            there = self._changed.wait_for(lambda: len(self.messages) >= count, TIMEOUT_S)
         expect(there, f"{what}: {len(self.messages)} messages, expected {count}")
 
     def first_after_gap(self, topic: str, since_s: float) -> float:

@@ -20,11 +20,11 @@ def ranges(angle_rad):
     return 3.0 + np.sin(2.0 * angle_rad) + 0.3 * np.cos(5.0 * angle_rad)
 
 
-def planar(count=541, fov_deg=270.0, z=0.0):
+def planar(count=541, fov_deg=270.0):
     """Columns of the points of a planar laser, and their angles and ranges."""
     angle = np.radians(np.linspace(-fov_deg / 2, fov_deg / 2, count))
     r = ranges(angle)
-    return {"x": r * np.cos(angle), "y": r * np.sin(angle), "z": np.full(count, z)}, angle, r
+    return {"x": r * np.cos(angle), "y": r * np.sin(angle), "z": np.zeros(count)}, angle, r
 
 
 LAYOUTS = {

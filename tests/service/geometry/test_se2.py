@@ -11,18 +11,18 @@ def matrix(pose: SE2) -> np.ndarray:
     return np.array([[c, -s, pose.x_m], [s, c, pose.y_m], [0.0, 0.0, 1.0]])
 
 
-def random_poses(count: int) -> list[SE2]:
+def random_poses() -> list[SE2]:
     rng = np.random.default_rng(1)
-    return [SE2(*rng.uniform(-5.0, 5.0, 2), wrap_angle(rng.uniform(-9.0, 9.0))) for _ in range(count)]
+    return [SE2(*rng.uniform(-5.0, 5.0, 2), wrap_angle(rng.uniform(-9.0, 9.0))) for _ in range(20)]
 
 
 def test_composition_is_the_product_of_matrices() -> None:
-    for a, b in zip(random_poses(20), reversed(random_poses(20)), strict=True):
+    for a, b in zip(random_poses(), reversed(random_poses()), strict=True):
         np.testing.assert_allclose(matrix(a @ b), matrix(a) @ matrix(b), atol=1e-12)
 
 
 def test_a_pose_and_its_inverse_cancel() -> None:
-    for pose in random_poses(20):
+    for pose in random_poses():
         np.testing.assert_allclose(matrix(pose @ pose.inverse()), np.eye(3), atol=1e-12)
 
 

@@ -25,9 +25,7 @@ def test_the_first_row_of_pixels_is_the_largest_y():
 def test_tiles_and_the_grid_made_of_them_give_the_same_picture():
     store = TileStore()
     store.update([tile(-2, 1, 1), tile(0, 0, 2), tile(1, -3, 3), tile(5, 5, 4, level=1)])
-    grid = store.grid()
-    assert grid is not None
-    by_tiles, by_grid = picture_of_tiles(store.since(0)), picture_of_grid(grid)
+    by_tiles, by_grid = picture_of_tiles(store.since(0)), picture_of_grid(store.grid())
     assert (by_tiles.width, by_tiles.height) == (by_grid.width, by_grid.height) == (32, 40)
     assert (by_tiles.x_min_m, by_tiles.y_min_m) == (by_grid.x_min_m, by_grid.y_min_m) == (-8.0, -12.0)
     for _ in range(2):  # twice: PGM, then PNG

@@ -39,13 +39,11 @@ class Inbox:
             )
             return list(self.samples)
 
-    def wait_for_one(
-        self, wanted: Callable[[zenoh.Sample], bool], timeout_s: float = TIMEOUT_S
-    ) -> zenoh.Sample:
+    def wait_for_one(self, wanted: Callable[[zenoh.Sample], bool]) -> zenoh.Sample:
         """The first that is wanted."""
         with self._changed:
-            found = self._changed.wait_for(lambda: list(filter(wanted, self.samples)), timeout_s)
-            assert found, f"none of {len(self.samples)} samples after {timeout_s} s"
+            found = self._changed.wait_for(lambda: list(filter(wanted, self.samples)), TIMEOUT_S)
+            assert found, f"none of {len(self.samples)} samples after {TIMEOUT_S} s"
             return found[0]
 
 

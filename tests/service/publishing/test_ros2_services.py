@@ -73,8 +73,8 @@ def answer(session: zenoh.Session, name: str, service: str, **request: Any) -> A
     return JAZZY.deserialize_cdr(reply.ok.payload.to_bytes(), f"x/msg/{short}Response")
 
 
-def save(session: zenoh.Session, map_url: str = "", image_format: str = "pgm", map_mode: str = "") -> bool:
-    request = {"map_topic": "/map", "map_url": map_url, "image_format": image_format, "map_mode": map_mode}
+def save(session: zenoh.Session, map_url: str = "", image_format: str = "pgm") -> bool:
+    request = {"map_topic": "/map", "map_url": map_url, "image_format": image_format, "map_mode": ""}
     return answer(
         session, "save_map", ros_services.SAVE_MAP, **request, free_thresh=0.25, occupied_thresh=0.65
     ).result

@@ -71,8 +71,10 @@ def tile(version: int) -> TileUpdate:
     return TileUpdate(0, 0, 0, version, 0.05, np.full((64, 64), version, np.int8))
 
 
-def tokens(client: zenoh.Session, expression: str = "@ros2_lv/**") -> set[str]:
-    return {str(reply.ok.key_expr) for reply in client.liveliness().get(expression) if reply.ok is not None}
+def tokens(client: zenoh.Session) -> set[str]:
+    return {
+        str(reply.ok.key_expr) for reply in client.liveliness().get("@ros2_lv/**") if reply.ok is not None
+    }
 
 
 def test_a_topic_carries_the_bytes_of_the_message_with_its_attachment(open_topics, open_client):

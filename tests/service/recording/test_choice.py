@@ -68,9 +68,9 @@ def moving(index, *edges):
     return Message("", encoding.TF, stamp_ns, stamp_ns, payload)
 
 
-def robot(foreign, prefix, topics, in_tf=False, name="base_link"):
+def robot(foreign, prefix, topics, in_tf=False):
     """A laser 0.2 m ahead of a base with odometry, all frames behind a prefix."""
-    base = f"{prefix}{name}"
+    base = f"{prefix}base_link"
     foreign.tf((base, f"{prefix}laser", (0.2, 0.0, 0.1), turn(yaw=10.0)))
     for k in range(SCANS):
         if in_tf:

@@ -52,7 +52,6 @@ class AskingSession:
             self.outbox += b"how far?"
 
     def receive_data(self, data: bytes, arrived_ns: int) -> list[OdometrySample]:
-        assert self._requested_ns is not None
         stamp_ns, self._requested_ns = (self._requested_ns + arrived_ns) // 2, None
         return [OdometrySample("base", stamp_ns, arrived_ns, data[0], 0.0, 0.0, (0.0, 0.0, 0.0), (0.0,) * 9)]
 

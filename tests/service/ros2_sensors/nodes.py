@@ -34,12 +34,11 @@ def node(setup: NodeSetup = SETUP) -> FakeNode:
     return made
 
 
-def hear(listening: Ros2Session, speaking: FakeNode, count: int, delay_ns: int = 2_000_000) -> list[Frame]:
-    """Frames of so many messages, each with this delay."""
+def hear(listening: Ros2Session, speaking: FakeNode, count: int) -> list[Frame]:
+    """Frames of so many messages, each 2 ms late."""
     frames: list[Frame] = []
     for _ in range(count):
         due_ns = speaking.next_due_ns(0)
-        assert due_ns is not None
-        frames += listening.receive_data(pack(speaking.due(due_ns)), due_ns + delay_ns)
-        listening.tick(due_ns + delay_ns)
+        frames += listening.receive_data(pack(speaking.due(due_ns)), due_ns + 2_000_000)
+        listening.tick(due_ns + 2_000_000)
     return frames

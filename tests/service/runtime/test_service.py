@@ -104,9 +104,9 @@ def _with_map(config: ServiceConfig, changes: Any) -> ServiceConfig:
     return replace(config, sinks={**config.sinks, "map": section}, begin_in=section.load)
 
 
-def tick_until(service: Service, what: Callable[[], bool], timeout_s: float = 60.0) -> None:
+def tick_until(service: Service, what: Callable[[], bool]) -> None:
     pause = threading.Event()
-    deadline_s = time.monotonic() + timeout_s
+    deadline_s = time.monotonic() + 60.0
     while not what():
         assert time.monotonic() < deadline_s, "it did not come about"
         service.tick()

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from drivers.frames import Frame
 from service.geometry.se2 import SE2
-from simulators.trajectory import Follow, Leg, Limits, Pause, Spin, plan_drive
+from simulators.trajectory import Follow, Limits, Pause, Spin, plan_drive
 from simulators.truth import LaserModel, Ride
 from simulators.world import World, make_world
 from simulators.worlds.office import LAP, START, office_plan
@@ -15,11 +15,11 @@ from tests.simulated import Imu, Laser, Wheels, inertial, odometry, scans
 LIMITS = Limits(speed_mps=1.0, acceleration_mps2=0.8, lateral_mps2=0.7, turn_rate_radps=1.2)
 
 
-def to_both_sides(laps: int = 1) -> World:
+def to_both_sides() -> World:
     """The office without people: a lap, then the same path back."""
     back = [*reversed([tuple(point) for point in LAP[:-1]]), (START.x_m, START.y_m)]
-    there_and_back: list[Leg] = [Follow(LAP, corner_radius_m=0.7), Follow(back, corner_radius_m=0.7)]
-    drive = plan_drive(START, [*there_and_back * laps, Spin(math.pi), Pause(1.0)], LIMITS, repeats=True)
+    there_and_back = Follow(LAP, corner_radius_m=0.7), Follow(back, corner_radius_m=0.7)
+    drive = plan_drive(START, [*there_and_back, Spin(math.pi), Pause(1.0)], LIMITS, repeats=True)
     return make_world("to_both_sides", office_plan(), [], drive)
 
 

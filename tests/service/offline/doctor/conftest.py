@@ -75,14 +75,11 @@ def tree(tmp_path: Path) -> FakeTree:
 
 
 class Parrot(SilentDevice):
-    """A FakeDevice that says always the same: once when someone comes, and to everything it hears."""
+    """A FakeDevice that says always the same to everything it hears."""
 
-    def __init__(self, answer: bytes, greeting: bytes = b"") -> None:
-        self._answer, self._greeting = answer, greeting
+    def __init__(self, answer: bytes) -> None:
+        self._answer = answer
         self.heard = bytearray()
-
-    def connected(self, now_ns: int) -> bytes:
-        return self._greeting
 
     def receive_data(self, data: bytes, now_ns: int) -> bytes:
         self.heard += data

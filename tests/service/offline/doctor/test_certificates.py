@@ -46,9 +46,9 @@ def test_good_files_are_good_with_the_days_that_are_left(tree, site):
     assert look_at_certificates(tree.machine(), config("tls: null")) == []
 
 
-def replaced(site: Path, name: str, by: bytes, mode: int = 0o600) -> None:
+def replaced(site: Path, name: str, by: bytes) -> None:
     (site / name).write_bytes(by)
-    (site / name).chmod(mode)
+    (site / name).chmod(0o600)
 
 
 def piped(site: Path, name: str) -> None:

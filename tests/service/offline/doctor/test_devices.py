@@ -36,8 +36,8 @@ def create(path: str, **changes: Any) -> IrobotCreateConfig:
     return IrobotCreateConfig(name="base", device=path, **changes)
 
 
-def examine(config: Any, patience: Patience = QUICK, machine: Machine | None = None) -> list[Finding]:
-    return examine_sensor(machine or Machine(), config, patience, threading.Event())
+def examine(config: Any, patience: Patience = QUICK) -> list[Finding]:
+    return examine_sensor(Machine(), config, patience, threading.Event())
 
 
 def fake_lms100(**setup: Any) -> FakeLms100:

@@ -16,21 +16,19 @@ from tests.soaked import in_soak
 HEAD = "# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp\n"
 
 
-def flaser(time_s, robot, laser=None, ranges=(2.0,) * 180, kind="FLASER"):
+def flaser(time_s, robot, laser=None, ranges=(2.0,) * 180):
     poses = (*(laser or robot), *robot)
     numbers = " ".join(str(value) for value in (len(ranges), *ranges, *poses))
-    return f"{kind} {numbers} {time_s} merlin {time_s}\n"
+    return f"FLASER {numbers} {time_s} merlin {time_s}\n"
 
 
-def odom(time_s, x, y, theta, tv=0, rv=0):
-    return f"ODOM {x} {y} {theta} {tv} {rv} 0 {time_s} merlin {time_s}\n"
+def odom(time_s, x, y, theta, tv=0):
+    return f"ODOM {x} {y} {theta} {tv} 0 0 {time_s} merlin {time_s}\n"
 
 
-def robotlaser(
-    time_s, robot, laser, ranges, kind="ROBOTLASER1", start=-1.0, step=0.1, most=81.92, remissions=()
-):
+def robotlaser(time_s, robot, laser, ranges, kind="ROBOTLASER1", most=81.92, remissions=()):
     n, m = len(ranges), len(remissions)
-    fields = (0, start, step * (n - 1), step, most, 0.01, 0, n, *ranges, m, *remissions, *laser, *robot)
+    fields = (0, -1.0, 0.1 * (n - 1), 0.1, most, 0.01, 0, n, *ranges, m, *remissions, *laser, *robot)
     numbers = " ".join(map(str, (*fields, 0.3, 0.1, 0.4, 0.2, 0.0)))
     return f"{kind} {numbers} {time_s} merlin {time_s}\n"
 

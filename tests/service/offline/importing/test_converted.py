@@ -15,7 +15,6 @@ from service.errors import InputError
 from service.offline.past.driven_moments import ReplayedMoments
 from service.offline.replay.replay import replay
 from service.offline.replay.setup import ReplayOptions
-from service.recording.choice import Choice
 from service.recording.mcap_source import open_session
 from tests.service.conversion.messages import STORE, cloud, echoes
 from tests.service.recording.bags import write_ros1, write_ros2
@@ -53,8 +52,8 @@ def with_scans(change) -> list[Message]:
     return [change(m) if m.type == encoding.LASER_SCAN else m for m in DRIVE]
 
 
-def end_of(path: Path, choice: Choice | None = None) -> tuple[float, float, float]:
-    done = replay([path], ReplayOptions(choice=choice or Choice()))
+def end_of(path: Path) -> tuple[float, float, float]:
+    done = replay([path], ReplayOptions())
     assert done.summary["scans"] == SCANS
     assert done.summary["unmounted"] == []
     assert done.summary["warnings"] == [] if "warnings" in done.summary else True

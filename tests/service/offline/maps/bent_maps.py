@@ -70,7 +70,6 @@ def bent_map() -> BentMap:
     for k in range(0, len(frames), 7):
         back_end.work(Batch(frames[k : k + 7]))
     graph = back_end.work(Batch([], is_last=True)).saved
-    assert isinstance(graph, SavedGraph)
     assert len(graph.loop_ends) == 0
     begin = graph.map[ROUND]
     moved = np.array([begin[0] + SHIFTED_M[0], begin[1] + SHIFTED_M[1], begin[2] + TURNED_RAD])

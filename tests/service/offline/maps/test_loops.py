@@ -24,9 +24,7 @@ def graph() -> SavedGraph:
     back_end = pickle.loads(fed_ring()[0])
     covariance = np.diag([1e-4, 1e-4, 1e-5])
     back_end.loops.accepted.append(Loop(10, 80, np.array([0.0, 0.3, 0.0]), covariance, 0.9, 300, 0.01))
-    saved = back_end.work(Batch([], is_last=True)).saved
-    assert isinstance(saved, SavedGraph)
-    return saved
+    return back_end.work(Batch([], is_last=True)).saved
 
 
 def test_the_loops_of_a_map_are_reported_with_place_and_evidence(tmp_path, graph):

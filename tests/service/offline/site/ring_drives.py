@@ -32,9 +32,7 @@ def driven(name: str, seed: int, begin_ns: int | None = None) -> SavedGraph:
         for one in frames[FIRST[name] : FIRST[name] + COUNT]
     ]
     back_end = LoopBackEnd(LoopsConfig(), None)
-    saved = back_end.work(Batch(part, is_last=True)).saved
-    assert isinstance(saved, SavedGraph)
-    return saved
+    return back_end.work(Batch(part, is_last=True)).saved
 
 
 def store(folder: Path, graph: SavedGraph, geo: GeoReference | None = None) -> None:

@@ -45,12 +45,12 @@ def knowing(tasks: Sequence[AnyTask]) -> Ended:
         yield k, Done({"loops": loops}, {})
 
 
-def boxes_along_the_ring(seed: int, count: int = 24) -> list[tuple[float, float, float, float]]:
+def boxes_along_the_ring(seed: int) -> list[tuple[float, float, float, float]]:
     """At both walls of the corridors."""
     random = np.random.default_rng(seed)
     walls = []
     for path_length_m, side_m in zip(
-        random.uniform(0.0, 46.0, count), random.choice([-0.75, 0.75], count), strict=True
+        random.uniform(0.0, 46.0, 24), random.choice([-0.75, 0.75], 24), strict=True
     ):
         x_m, y_m, _ = se2.compose(np.array(true_pose_at(path_length_m)), np.array([0.0, side_m, 0.0]))
         walls += rings.rectangle(x_m - 0.25, y_m - 0.25, x_m + 0.25, y_m + 0.25)

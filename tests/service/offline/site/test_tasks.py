@@ -60,9 +60,7 @@ def test_loops_to_a_bent_end_are_kept_for_the_graph_of_all_sessions(tmp_path):
 def driven(seed: int) -> SavedGraph:
     """Half a round of the ring."""
     frames, _ = rings.key_frames(0.6, seed, turn_error_radpm=0.0)
-    saved = LoopBackEnd(LoopsConfig(), None).work(Batch(frames, is_last=True)).saved
-    assert isinstance(saved, SavedGraph)
-    return saved
+    return LoopBackEnd(LoopsConfig(), None).work(Batch(frames, is_last=True)).saved
 
 
 def bent(graph: SavedGraph) -> SavedGraph:

@@ -41,7 +41,6 @@ class Nursery:
         self._ask(bury=pid)
 
     def _ask(self, **what: Any) -> int:
-        assert self._process.stdin is not None
         with self._lock:
             print(json.dumps(what), file=self._process.stdin, flush=True)
             return int(self._process.stdout.readline())
