@@ -19,8 +19,7 @@ from service.mapper.profiles import import_methods, mapping_config
 LOOP_KERNELS = {"align_surfels", "path_lengths", "share_in_free_space", "splat_field", "thin_points"}
 
 
-@pytest.fixture(scope="module")
-def kernels() -> dict[str, Dispatcher]:
+def test_every_kernel_with_an_entry_for_python_declares_a_type_for_each_argument():
     import_methods()
     modules = [
         importlib.import_module(f"service.kernels.{module.name}")
@@ -28,14 +27,8 @@ def kernels() -> dict[str, Dispatcher]:
     ]
     load_compiler()
     found = (value for module in modules for value in vars(module).values())
-    return {name_of(kernel): kernel for kernel in found if isinstance(kernel, Dispatcher)}
-
-
-def test_every_kernel_with_an_entry_for_python_declares_a_type_for_each_argument(
-    kernels: dict[str, Dispatcher],
-):
-    for name, kernel in kernels.items():
-        options = kernel.targetoptions
+    for kernel in {value for value in found if isinstance(value, Dispatcher)}:
+        name, options = name_of(kernel), kernel.targetoptions
         if options.get("no_cpython_wrapper") or options.get("inline") == "always":
             assert name not in DECLARED
         else:

@@ -2,6 +2,7 @@ import logging
 import os
 import socket
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -9,26 +10,32 @@ import pytest
 from service.runtime.notify import Notifier
 
 
-@pytest.fixture(params=["path", "abstract"])
-def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[socket.socket, str]]:
-    """A listening notify socket and what stands in NOTIFY_SOCKET for it."""
-    name = f"@corridor-test-{os.getpid()}" if request.param == "abstract" else str(tmp_path / "notify")
+@contextmanager
+def systemd(name: str) -> Iterator[socket.socket]:
+    """A listening notify socket; name: what stands in NOTIFY_SOCKET for it."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind("\0" + name[1:] if name.startswith("@") else name)
         listener.settimeout(5.0)
-        yield listener, name
+        yield listener
 
 
-def test_words_reach_systemd(systemd: tuple[socket.socket, str]):
-    listener, name = systemd
-    notifier = Notifier({"NOTIFY_SOCKET": name})
-    notifier.ready()
-    notifier.alive()
-    notifier.status("mapping, 2/2 sensors")
-    notifier.need_more_time(30.0)
-    notifier.stopping()
-    words = [listener.recv(256).decode() for _ in range(5)]
-    notifier.close()
+@pytest.fixture
+def path(tmp_path: Path) -> str:
+    return str(tmp_path / "notify")
+
+
+@pytest.mark.parametrize("is_abstract", [False, True])
+def test_words_reach_systemd(path: str, is_abstract: bool):
+    name = f"@corridor-test-{os.getpid()}" if is_abstract else path
+    with systemd(name) as listener:
+        notifier = Notifier({"NOTIFY_SOCKET": name})
+        notifier.ready()
+        notifier.alive()
+        notifier.status("mapping, 2/2 sensors")
+        notifier.need_more_time(30.0)
+        notifier.stopping()
+        words = [listener.recv(256).decode() for _ in range(5)]
+        notifier.close()
     assert words == [
         "READY=1",
         "WATCHDOG=1",
@@ -38,10 +45,9 @@ def test_words_reach_systemd(systemd: tuple[socket.socket, str]):
     ]
 
 
-def test_a_listener_that_goes_away_does_not_stop_us(tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
-        listener.bind(str(tmp_path / "notify"))
-        notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "notify")})
+def test_a_listener_that_goes_away_does_not_stop_us(path: str, caplog: pytest.LogCaptureFixture):
+    with systemd(path):
+        notifier = Notifier({"NOTIFY_SOCKET": path})
     caplog.set_level(logging.WARNING)
     notifier.ready()
     notifier.ready()
@@ -49,18 +55,14 @@ def test_a_listener_that_goes_away_does_not_stop_us(tmp_path: Path, caplog: pyte
     assert caplog.text.count("nothing receives") == 0
 
 
-def test_a_listener_that_comes_back_hears_the_watchdog_again(tmp_path: Path):
+def test_a_listener_that_comes_back_hears_the_watchdog_again(path: str):
     """Else it would kill a service that is well."""
-    path = tmp_path / "notify"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
-        listener.bind(str(path))
-        notifier = Notifier({"NOTIFY_SOCKET": str(path)})
+    with systemd(path):
+        notifier = Notifier({"NOTIFY_SOCKET": path})
     notifier.alive()
-    path.unlink()
+    os.unlink(path)
     notifier.alive()
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
-        listener.bind(str(path))
-        listener.settimeout(5.0)
+    with systemd(path) as listener:
         notifier.alive()
         assert listener.recv(256) == b"WATCHDOG=1"
         notifier.close()
@@ -70,10 +72,9 @@ def test_a_listener_that_comes_back_hears_the_watchdog_again(tmp_path: Path):
             listener.recv(256)
 
 
-def test_a_listener_that_sleeps_does_not_hold_us_up(tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
-        listener.bind(str(tmp_path / "notify"))
-        notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "notify")})
+def test_a_listener_that_sleeps_does_not_hold_us_up(path: str, caplog: pytest.LogCaptureFixture):
+    with systemd(path) as listener:
+        notifier = Notifier({"NOTIFY_SOCKET": path})
         for _ in range(100_000):
             notifier.alive()
             if caplog.text:

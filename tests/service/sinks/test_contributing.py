@@ -3,6 +3,7 @@
 import json
 import re
 import socket
+import sys
 from pathlib import Path
 from textwrap import dedent
 from types import ModuleType
@@ -19,17 +20,6 @@ from tests.service.sinks.contexts import sink_context
 PAGE = Path(__file__).parents[3] / "CONTRIBUTING.md"
 
 
-@pytest.fixture
-def udp_sink(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The first Python block of the section, as the module that the section calls it."""
-    section = PAGE.read_text().partition("## Add an output\n")[2]
-    block = re.search(r"```python\n(.*?)```", section, re.DOTALL)
-    module = ModuleType("service.sinks.udp_sink")
-    monkeypatch.setitem(__import__("sys").modules, module.__name__, module)
-    exec(dedent(block[1]), module.__dict__)
-    return module
-
-
 def pose():
     output = MapperOutput(
         5, SE2(1.0, 2.0, 0.0), SE2(), (0.0, 0.0, 0.0), np.zeros((3, 3)), "ok", NO_REASON, 1.0
@@ -37,7 +27,13 @@ def pose():
     return encode_pose(output, 5)
 
 
-def test_the_registry_line_opens_it_and_a_pose_comes_out(udp_sink: ModuleType):
+def test_the_registry_line_opens_it_and_a_pose_comes_out(monkeypatch: pytest.MonkeyPatch):
+    """The first Python block of the section is the module that the section calls it."""
+    section = PAGE.read_text().partition("## Add an output\n")[2]
+    block = re.search(r"```python\n(.*?)```", section, re.DOTALL)
+    module = ModuleType("service.sinks.udp_sink")
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    exec(dedent(block[1]), module.__dict__)
     line = re.search(r"^ +(SinkKind\(.*\)),$", PAGE.read_text(), re.MULTILINE)
     kind: SinkKind = eval(line[1])
     model = kind.load_model()

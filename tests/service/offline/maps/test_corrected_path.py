@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from service.geometry import poses as se2
 from service.offline.past.result import corrected_path
@@ -12,22 +11,13 @@ from tests.service.mapper.graph.loops.rings import saved_of
 TENTH_NS = 10**8
 
 
-@pytest.fixture(scope="module")
-def graph():
-    return saved_of(0.3)
-
-
-@pytest.fixture(scope="module")
-def driven(graph):
+def test_the_path_meets_the_moved_key_frames_and_bends_evenly_between():
     """Four poses from one key frame to the next, the first of each lying on it."""
+    graph = saved_of(0.3)
     count = len(graph) - 1
     ahead = np.tile([[0.0, 0, 0], [0.07, 0, 0], [0.14, 0.01, 0], [0.2, 0.02, 0.1]], (count, 1))
     stamp_ns = np.repeat(graph.stamp_ns[:-1], 4) + np.tile(TENTH_NS // 4 * np.arange(4), count)
-    return stamp_ns, se2.compose(np.repeat(graph.map[:-1], 4, axis=0), ahead)
-
-
-def test_the_path_meets_the_moved_key_frames_and_bends_evenly_between(graph, driven):
-    stamp_ns, poses = driven
+    poses = se2.compose(np.repeat(graph.map[:-1], 4, axis=0), ahead)
     moved = graph.map.copy()
     moved[10:] = se2.compose(np.array([0.3, -0.1, 0.04]), graph.map[10:])
     expected = poses.copy()
