@@ -55,6 +55,11 @@ class WireReplay:
         self.chunks_without_start = 0
         self.requests_not_repeated = 0
 
+    @property
+    def counts(self) -> dict[str, int]:
+        names = ("frames", "chunks_without_start", "requests_not_repeated")
+        return {name: getattr(self, name) for name in names}
+
     def take(self, chunk: RawChunk) -> list[Frame]:
         """The frames that the driver makes of it, in order."""
         if chunk.kind == "connected":

@@ -96,7 +96,7 @@ def best_lag(
     """None where no lag explains the turns much better than 0.
 
     turned   (K,) rad    between two scans
-    reported     (L, K) rad  the same by the source, at each of L lags, evenly apart, with 0 in the middle
+    facts    (L, K) rad  the same by the source, at each of L lags, evenly apart, with 0 in the middle
     """
     if len(turned) == 0 or np.ptp(turned) == 0.0:
         return None  # one jump of the heading may be half of all that was turned

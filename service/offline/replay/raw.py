@@ -6,7 +6,6 @@ session of their own, in the order in which their bytes came; the events of the 
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from service.config import ServiceConfig, load_config, parse_config, recorded_config, tf_static
@@ -23,27 +22,18 @@ log = logging.getLogger(__name__)
 FROM_RAW = "from_raw"  # metadata of a session whose frames were made again
 
 
-@dataclass(frozen=True, slots=True)
-class Remade:
-    """Frames and counts of one sensor's wire; the fields are those of WireReplay."""
-
-    frames: int
-    chunks_without_start: int
-    requests_not_repeated: int
-
-
 def remake_frames(
     paths: Sequence[Path],
     config: Path | None,
     out: Path,
     progress: Callable[[float], None] = lambda share: None,
-) -> dict[str, Remade]:
+) -> dict[str, dict[str, int]]:
     """Run the raw bytes of a recording through the drivers and write their frames as the session `out`.
 
     config   sensors and their settings; None: those that the recording holds
 
-    What came out of each sensor. Raises InputError where there are no raw bytes, no config, or no frame comes
-    of them, ConfigError, and StorageError where `out` cannot be written.
+    The counts of each sensor's wire, as of WireReplay. Raises InputError where there are no raw bytes, no
+    config, or no frame comes of them, ConfigError, and StorageError where `out` cannot be written.
     """
     recording = Recording(paths)
     if not (topics := raw_topics(recording)):
@@ -66,12 +56,8 @@ def remake_frames(
     channels = {topics[name].removeprefix("/"): name for name in names}
     metadata = {**recording.metadata, FROM_RAW: {"corridor": VERSION}}
     write_messages(out, _messages(recording, service, wires, channels, progress), metadata)
-    remade = {
-        name: Remade(wire.frames, wire.chunks_without_start, wire.requests_not_repeated)
-        for name, wire in wires.items()
-    }
-    _tell(paths[0], remade)
-    return remade
+    _tell(paths[0], wires)
+    return {name: wire.counts for name, wire in wires.items()}
 
 
 def _messages(
@@ -95,22 +81,22 @@ def _messages(
         progress((message.log_ns - first_ns) / span_ns)
 
 
-def _tell(path: Path, remade: Mapping[str, Remade]) -> None:
+def _tell(path: Path, wires: Mapping[str, WireReplay]) -> None:
     """Raises InputError where not one frame was made."""
-    if not any(made.frames for made in remade.values()):
-        cut = [name for name, made in remade.items() if made.chunks_without_start]
+    if not any(wire.frames for wire in wires.values()):
+        cut = [name for name, wire in wires.items() if wire.chunks_without_start]
         why = (
             f"{' and '.join(cut)} were recorded in mid-stream; give all files of the session from its start"
             if cut
-            else f"the drivers make nothing of the bytes of {' and '.join(remade) or 'no sensor'}"
+            else f"the drivers make nothing of the bytes of {' and '.join(wires) or 'no sensor'}"
         )
         raise InputError(f"{path}: no frame comes of its raw bytes: {why}")
-    for name, made in remade.items():
-        log.info("%s: %s", name, asdict(made))
-        if made.requests_not_repeated:
+    for name, wire in wires.items():
+        log.info("%s: %s", name, wire.counts)
+        if wire.requests_not_repeated:
             log.warning(
                 "%s: today's driver sends where that of the recording did not, or vice versa, "
                 "%d times; its frames may differ from the recorded ones",
                 name,
-                made.requests_not_repeated,
+                wire.requests_not_repeated,
             )

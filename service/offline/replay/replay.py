@@ -4,7 +4,7 @@ import itertools
 import logging
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -153,7 +153,7 @@ def _replay_from_raw(
         made = Path(folder) / paths[0].name
         remade = remake_frames(paths, options.config, made, lambda share: progress(share, REMAKING))
         done = _replay([made], replace(options, from_raw=False), progress, watch)
-    done.summary[FROM_RAW] = {name: asdict(counts) for name, counts in remade.items()}
+    done.summary[FROM_RAW] = remade
     return done
 
 
