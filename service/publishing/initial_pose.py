@@ -77,8 +77,7 @@ class InitialPoseSubscriber:
             return f"{CHANNEL}: a pose in the frame {frame!r}; expected {MAP_FRAME!r}"
         if not all(map(math.isfinite, pose)):
             return f"{CHANNEL}: ({pose.x_m}, {pose.y_m}) m, {pose.theta_rad} rad is no pose"
-        request = {"x_m": pose.x_m, "y_m": pose.y_m, "theta_rad": pose.theta_rad}
-        answer = self._answer("set_pose", json.dumps(request).encode())
+        answer = self._answer("set_pose", json.dumps(pose._asdict()).encode())
         if not answer.ok:
             return f"{CHANNEL}: {json.loads(answer.body)['error']}"
         log.info("%s: looked for at (%.2f, %.2f) m, %.2f rad", CHANNEL, pose.x_m, pose.y_m, pose.theta_rad)

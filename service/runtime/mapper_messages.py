@@ -13,6 +13,7 @@ from service.encoding import LASER_SCAN, Message
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import SessionAction
+from service.mapper.saved_graph import KeptGraph
 from service.outputs import GraphPicture, Grid, Reason, State, TileUpdate
 
 MAX_AGE_NS = 50_000_000  # of a scan when its mapping begins, or two of its periods if that is more
@@ -126,13 +127,6 @@ class Hello(NamedTuple):
     of_pid: int = 0  # of a stand-by: the mapper that it is a copy of
 
 
-class GraphKept(NamedTuple):
-    """The graph of the present map was put away, or why not."""
-
-    folder: str
-    fault: str
-
-
 class GraphRendered(NamedTuple):
     """The graph of the present map, to be shown."""
 
@@ -212,9 +206,7 @@ class PoseRefused(NamedTuple):
     """The pose that the operator set is rejected: the scans do not fit there."""
 
     log_ns: int
-    x_m: float
-    y_m: float
-    theta_rad: float
+    pose: SE2
 
 
 class Unusable(NamedTuple):
@@ -281,7 +273,7 @@ Heard = (
     | Unusable
     | Tiles
     | Status
-    | GraphKept
+    | KeptGraph
     | GraphRendered
     | StandingRendered
     | ChangesRendered

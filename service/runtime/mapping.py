@@ -12,6 +12,7 @@ from typing import Any
 from drivers.frames import Frame, LaserScan
 from service.encoding import decode_frame, encode_odom, encode_pose, encode_tf
 from service.errors import CorridorError, InputError
+from service.geometry.se2 import SE2
 from service.mapper.background import BackEndDiedError
 from service.mapper.components import GraphRequestError
 from service.mapper.map_changes import NOTHING_CHANGED, MapChanges
@@ -176,7 +177,7 @@ class MappingLoop:
         kept = self.mapper.saved
         if kept is not self._reported_graph and isinstance(kept, KeptGraph):
             self._reported_graph = kept
-            self._send(msg.GraphKept(*kept))
+            self._send(kept)
 
     def _show_graph(self) -> None:
         picture = self.mapper.graph_picture
@@ -248,7 +249,7 @@ class MappingLoop:
         if refused != self._reported_refused:
             self._reported_refused = refused
             if refused is not None:
-                self._tell(item.number, msg.PoseRefused(item.log_ns, *refused))
+                self._tell(item.number, msg.PoseRefused(item.log_ns, SE2(*refused)))
 
     def _apply_result(self) -> None:
         """The answer to an edit may be sent again after a mapper was lost: only the first is heard."""

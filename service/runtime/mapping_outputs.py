@@ -12,6 +12,7 @@ from typing import Any, assert_never
 
 from service.encoding import APPLY_RESULT, CHANGES, STANDING, Message, encode_event, encode_graph, encode_grid
 from service.geometry.geo_reference import GeoReference
+from service.mapper.saved_graph import KeptGraph
 from service.mapstore.tiles import TileStore
 from service.outputs import TileUpdate
 from service.runtime import mapper_messages as msg
@@ -91,7 +92,7 @@ class MappingOutputs:
                 self._scan_passed_over(message)
             case msg.PoseRefused():
                 self._pose_refused(message)
-            case msg.GraphKept():
+            case KeptGraph():
                 self._graph_kept(message)
             case msg.GraphRendered():
                 self._put(encode_graph(message.picture, self._log_ns()), None)
@@ -180,17 +181,14 @@ class MappingOutputs:
         self._put_before(message.log_ns, event)
 
     def _pose_refused(self, refused: msg.PoseRefused) -> None:
-        at = {"x_m": refused.x_m, "y_m": refused.y_m, "theta_rad": refused.theta_rad}
         log.warning(
             "set_pose: the pose (%.2f, %.2f) m, %.2f rad is rejected: no scan matches the map there; "
             "set another one, or drive on",
-            refused.x_m,
-            refused.y_m,
-            refused.theta_rad,
+            *refused.pose,
         )
-        self._put_before(refused.log_ns, {"event": "set_pose_given_up", **at})
+        self._put_before(refused.log_ns, {"event": "set_pose_given_up", **refused.pose._asdict()})
 
-    def _graph_kept(self, kept: msg.GraphKept) -> None:
+    def _graph_kept(self, kept: KeptGraph) -> None:
         if kept.fault:
             log.error("%s", kept.fault)
         elif kept.folder:

@@ -364,8 +364,7 @@ class Service:
         )
 
     def _set_pose(self, pose: SE2) -> None:
-        request = {"x_m": pose.x_m, "y_m": pose.y_m, "theta_rad": pose.theta_rad}
-        answer = self._command("set_pose", json.dumps(request).encode())
+        answer = self._command("set_pose", json.dumps(pose._asdict()).encode())
         if not answer.ok:
             log.warning("the pose before the restart is not taken: %s", answer.body.decode(errors="replace"))
 

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from service.mapstore.files import save_map
+from tests.service.mapstore.tile_makers import tile
 from tests.service.offline.maps.bent_maps import BentMap, bent_map, save_bent
 from tests.service.offline.recorded_drives import RecordDrive, recorder_in
 
@@ -28,3 +30,10 @@ def bent_folder(tmp_path_factory: pytest.TempPathFactory, bent: BentMap) -> Path
 def folder(tmp_path: Path, bent_folder: Path) -> Path:
     """A copy of it."""
     return Path(shutil.copytree(bent_folder, tmp_path / "ring", symlinks=True))
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Path:
+    """A stored map without a graph."""
+    save_map(tmp_path / "picture", [tile(0, 0, 1, value=97), tile(1, 0, 2, value=97)], 1)
+    return tmp_path / "picture"

@@ -94,6 +94,4 @@ def tiles_of(graph: SavedGraph) -> list[TileUpdate]:
 
 
 def graph_in(folder: Path) -> SavedGraph:
-    graph = load_map(folder).graph
-    assert graph is not None
-    return graph
+    return load_map(folder).graph

@@ -7,22 +7,14 @@ import numpy as np
 import pytest
 
 from service.geometry import poses as se2
-from service.mapstore.files import load_map, save_map, versions_of
+from service.mapstore.files import load_map, versions_of
 from service.offline.maps import edit as map_edit
 from service.offline.maps.commands import MapCommands
 from tests.in_background import started
-from tests.service.mapstore.tile_makers import tile
 from tests.service.offline.maps.bent_maps import ROUND, graph_in
 from tests.service.web.conftest import TIMEOUT_S
 
 SQUARE = [[0.5, 0.5], [1.5, 0.5], [1.5, 1.5], [0.5, 1.5]]
-
-
-@pytest.fixture
-def picture(tmp_path):
-    """A stored map without a graph."""
-    save_map(tmp_path / "picture", [tile(0, 0, 1, value=97), tile(1, 0, 2, value=97)], 1)
-    return tmp_path / "picture"
 
 
 class Asking:

@@ -10,8 +10,6 @@ import pytest
 from service.cli import main
 from service.errors import StorageError, UsageError
 from service.mapper.components import SavedGraph
-from service.mapper.graph.edit.editing import solved
-from service.mapper.maps.occupancy import OccupancyConfig, OccupancyTiles
 from service.mapper.profiles import mapping_config
 from service.mapstore.begin_in import begin_in
 from service.mapstore.files import load_map, save_map
@@ -20,8 +18,7 @@ from service.offline.maps.edit import edit_map, erase, stamp_of, undo, wall
 from service.offline.maps.work import map_log
 from service.outputs import TileUpdate
 from tests.service.mapper.graph.loops.rings import CABINET, saved_of
-from tests.service.mapstore.tile_makers import tile
-from tests.service.offline.maps.bent_maps import graph_in
+from tests.service.offline.maps.bent_maps import graph_in, tiles_of
 
 SQUARE = [0.5, 0.5, 1.5, 0.5, 1.5, 1.5, 0.5, 1.5]
 
@@ -42,9 +39,7 @@ def graph() -> SavedGraph:
 def stored_ring(tmp_path_factory, graph):
     """A stored map of a ring of corridors."""
     folder = tmp_path_factory.mktemp("stored") / "ring"
-    shown = OccupancyTiles(OccupancyConfig(), 0.05)
-    shown.replace_by(solved(graph, shown.renderer).rendered_map, ())
-    save_map(folder, shown.changed_tiles(), 1_000, {"vehicle": "veh1"}, graph=graph)
+    save_map(folder, tiles_of(graph), 1_000, {"vehicle": "veh1"}, graph=graph)
     return folder
 
 
@@ -52,13 +47,6 @@ def stored_ring(tmp_path_factory, graph):
 def ring(tmp_path, stored_ring):
     """A copy of it."""
     return Path(shutil.copytree(stored_ring, tmp_path / "ring", symlinks=True))
-
-
-@pytest.fixture
-def picture(tmp_path):
-    """A stored map without a graph."""
-    save_map(tmp_path / "picture", [tile(0, 0, 1, value=97), tile(1, 0, 2, value=97)], 1)
-    return tmp_path / "picture"
 
 
 def edit(folder, *arguments: object, code: int = 0) -> None:

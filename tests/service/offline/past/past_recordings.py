@@ -25,9 +25,7 @@ NO_ENDS = np.empty((0, 2, 2), np.float32)
 def room(half_x_m: float, half_y_m: float) -> Grid:
     store = TileStore()
     Scene(half_x_m, half_y_m, store).map_all()
-    grid = store.grid()
-    assert grid is not None
-    return grid
+    return store.grid()
 
 
 def past_messages() -> list[Message]:
