@@ -59,6 +59,11 @@ def router(start_router, endpoint) -> zenoh.Session:
 
 
 @pytest.fixture
+def client(router, endpoint, open_client) -> zenoh.Session:
+    return open_client(endpoint)
+
+
+@pytest.fixture
 def start_vehicle(site) -> Iterator[Callable[..., FleetSink]]:
     with ExitStack() as opened:
 

@@ -47,14 +47,11 @@ def test_a_day_without_a_router_comes_in_order_and_a_page_at_a_time(
     assert lines[0]["x_m"] == pytest.approx(OUTPUT.pose_map_base.x_m, abs=1e-3)
 
 
-def test_what_was_fetched_is_not_fetched_again_and_a_torn_line_is(
-    endpoint, router, start_vehicle, open_client, tmp_path
-):
+def test_what_was_fetched_is_not_fetched_again_and_a_torn_line_is(endpoint, start_vehicle, client, tmp_path):
     journal = FleetJournal(tmp_path / "fleet.sqlite")
     drive(journal.health, 3)
     journal.write()
     start_vehicle(endpoint, folders={"recording": tmp_path})
-    client = open_client(endpoint)
     assert pull(client, "veh1", tmp_path / "out").journal_lines == 3
     path = tmp_path / "out/veh1" / JOURNAL_FILE
     whole = path.read_bytes()
@@ -91,13 +88,11 @@ def test_a_clock_that_is_set_back_keeps_the_order(tmp_path):
     ]
 
 
-def test_a_journal_that_is_damaged_is_refused_and_the_link_stays(
-    endpoint, router, start_vehicle, open_client, tmp_path
-):
+def test_a_journal_that_is_damaged_is_refused_and_the_link_stays(endpoint, start_vehicle, client, tmp_path):
     (tmp_path / "fleet.sqlite").write_bytes(b"no database" * 1000)
     sink = start_vehicle(endpoint, folders={"recording": tmp_path})
     with pytest.raises(RefusedError, match="not a database"):
-        ask(open_client(endpoint), "veh1", f"{JOURNAL}?after=0")
+        ask(client, "veh1", f"{JOURNAL}?after=0")
     drive(sink.put, 1)
     wait_until(lambda: "not a database" in sink.health().message)
     assert is_in_fleet(sink)

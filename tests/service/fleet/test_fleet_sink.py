@@ -29,9 +29,9 @@ def subscribed(client, key: str) -> Inbox:
     return inbox
 
 
-def test_poses_go_out_at_the_rate_of_the_policy_and_scans_never(endpoint, router, start_vehicle, open_client):
+def test_poses_go_out_at_the_rate_of_the_policy_and_scans_never(endpoint, start_vehicle, client):
     sink = start_vehicle(endpoint, fleet={"pose_hz": 20.0, "health_hz": 1.0})
-    inbox = subscribed(open_client(endpoint), "corridor/v1/**")
+    inbox = subscribed(client, "corridor/v1/**")
     began_s = time.monotonic()
     for number in range(100):
         sink.put(encode_pose(OUTPUT, number))
@@ -47,19 +47,19 @@ def test_poses_go_out_at_the_rate_of_the_policy_and_scans_never(endpoint, router
     assert set(channels) <= {"pose", "health", "map/meta", "map/tile/0/0/0"}
 
 
-def test_without_a_subscriber_no_tile_is_sent(endpoint, router, start_vehicle, open_client):
+def test_without_a_subscriber_no_tile_is_sent(endpoint, start_vehicle, client):
     sink = start_vehicle(endpoint)
     for version in range(1, 20):
         sink.put_tiles([tile(version, 0, version)], 1, 1)
-    inbox = subscribed(open_client(endpoint), f"{VEH1}/map/tile/**")
+    inbox = subscribed(client, f"{VEH1}/map/tile/**")
     wait_until(lambda: sink.put_tiles([tile(0, 0, 20)], 1, 1) or inbox.samples)
     assert {str(sample.key_expr) for sample in inbox.samples} == {f"{VEH1}/map/tile/0/0/0"}
     assert int(sink.health().values.get("sent.map/tile", "0")) < 19
 
 
-def test_the_bytes_that_the_kernel_counts_are_in_health(endpoint, router, start_vehicle, open_client):
+def test_the_bytes_that_the_kernel_counts_are_in_health(endpoint, start_vehicle, client):
     sink = start_vehicle(endpoint)
-    inbox = subscribed(open_client(endpoint), f"{VEH1}/map/tile/**")
+    inbox = subscribed(client, f"{VEH1}/map/tile/**")
     before = int(sink.health().values["bytes_sent"])
     sink.put_tiles([tile(0, 0, 1, edge=64)], 1, 1)
     inbox.wait_for(1)
@@ -68,9 +68,7 @@ def test_the_bytes_that_the_kernel_counts_are_in_health(endpoint, router, start_
     assert sink.health().values["links"] == "1"
 
 
-def test_commands_come_through_the_router_unless_they_are_switched_off(
-    endpoint, router, start_vehicle, open_client
-):
+def test_commands_come_through_the_router_unless_they_are_switched_off(endpoint, start_vehicle, client):
     for vehicle, commands in (("veh1", True), ("veh2", False)):
         start_vehicle(
             endpoint,
@@ -78,7 +76,6 @@ def test_commands_come_through_the_router_unless_they_are_switched_off(
             fleet={"commands": commands},
             command=lambda verb, payload: Answer(True, verb.encode()),
         )
-    client = open_client(endpoint)
     wait_until(lambda: answers(client, "veh1/cmd/pause") == ["pause"])
     assert answers(client, "veh2/cmd/pause") == []
 
@@ -114,12 +111,11 @@ def test_a_vehicle_without_its_router_looks_for_it_once_a_second(
 
 
 def test_of_two_vehicles_by_one_name_the_later_is_refused_with_both_addresses(
-    endpoint, router, start_vehicle, open_client
+    endpoint, start_vehicle, client
 ):
     first = start_vehicle(endpoint, command=lambda verb, payload: Answer(True, b"first"))
     second = start_vehicle(endpoint, waits=False, command=lambda verb, payload: Answer(True, b"second"))
     wait_until(lambda: second.health().level == ERROR)
-    client = open_client(endpoint)
     keys = [str(reply.ok.key_expr) for reply in client.liveliness().get(PRESENCES, timeout=20.0)]
     both = presences(keys)["veh1"]
     assert len(both) == 2

@@ -32,10 +32,7 @@ def vehicle(endpoint, router, start_vehicle, recordings):
     return start_vehicle(endpoint, folders={"recording": recordings})
 
 
-def test_finished_recordings_come_whole_and_oldest_first_and_once(
-    vehicle, endpoint, open_client, recordings, tmp_path
-):
-    client = open_client(endpoint)
+def test_finished_recordings_come_whole_and_oldest_first_and_once(vehicle, client, recordings, tmp_path):
     steps: list[tuple[int, int]] = []
     first = pull(client, "veh1", tmp_path / "out", progress=lambda *step: steps.append(step))
     assert first.fetched == tuple(sorted(SIZES))
@@ -47,28 +44,24 @@ def test_finished_recordings_come_whole_and_oldest_first_and_once(
     assert (again.fetched, again.there, again.bytes) == ((), tuple(sorted(SIZES)), 0)
 
 
-def test_a_file_with_another_checksum_is_an_error_and_removed(
-    vehicle, endpoint, open_client, recordings, tmp_path
-):
+def test_a_file_with_another_checksum_is_an_error_and_removed(vehicle, client, recordings, tmp_path):
     name = min(SIZES)
     part = tmp_path / "out/veh1" / f"{name}.part"
     part.parent.mkdir(parents=True)
     part.write_bytes(b"of another file")
     with pytest.raises(InputError, match="SHA-256"):
-        pull(open_client(endpoint), "veh1", tmp_path / "out")
+        pull(client, "veh1", tmp_path / "out")
     assert not part.exists()
     assert not (part.parent / name).exists()
 
 
-def test_another_recording_by_the_same_name_is_kept(
-    vehicle, endpoint, open_client, recordings, tmp_path, caplog
-):
+def test_another_recording_by_the_same_name_is_kept(vehicle, client, recordings, tmp_path, caplog):
     """A vehicle whose clock begins anew at each boot gives a name twice, once its first file is removed."""
     name = min(SIZES)
     archived = tmp_path / "out/veh1" / name
     archived.parent.mkdir(parents=True)
     archived.write_bytes(b"of an earlier day")
-    assert name in pull(open_client(endpoint), "veh1", tmp_path / "out").fetched
+    assert name in pull(client, "veh1", tmp_path / "out").fetched
     assert archived.read_bytes() == (recordings / name).read_bytes()
     (kept,) = archived.parent.glob(f"{archived.stem}_of_*.mcap")
     assert kept.read_bytes() == b"of an earlier day"
@@ -93,9 +86,9 @@ def test_a_lost_link_delays_a_transfer_and_does_not_end_it(
     assert set(pulled.fetched) == set(SIZES)
 
 
-def test_a_pull_into_a_folder_that_another_one_writes_to_is_refused(vehicle, endpoint, open_client, tmp_path):
+def test_a_pull_into_a_folder_that_another_one_writes_to_is_refused(vehicle, client, tmp_path):
     """A timer begins one each ten minutes, and the first takes an hour, say."""
-    client, refusals = open_client(endpoint), []
+    refusals = []
 
     def pull_too(done: int, total: int) -> None:
         with pytest.raises(StorageError, match=r"another pull writes to .*veh1; wait") as found:
@@ -106,10 +99,10 @@ def test_a_pull_into_a_folder_that_another_one_writes_to_is_refused(vehicle, end
     assert refusals
 
 
-def test_a_limit_spreads_the_transfer_over_time(vehicle, endpoint, open_client, tmp_path, monkeypatch):
+def test_a_limit_spreads_the_transfer_over_time(vehicle, client, tmp_path, monkeypatch):
     pauses: list[float] = []
     monkeypatch.setattr(pull_module.time, "sleep", pauses.append)
-    pull(open_client(endpoint), "veh1", tmp_path / "out", limit_bytes_per_s=PART_BYTES)
+    pull(client, "veh1", tmp_path / "out", limit_bytes_per_s=PART_BYTES)
     assert pauses[0] == pytest.approx(1.0, abs=0.5)
     assert pauses[1] == pytest.approx(2.0, abs=0.5)  # since the begin, for no time passes in this test
 
@@ -124,10 +117,9 @@ def test_viewers_fetch_nothing(endpoint, start_router, start_vehicle, recordings
 
 
 def test_of_two_vehicles_by_one_name_nothing_is_fetched(
-    vehicle, endpoint, start_vehicle, site_file, open_client, tmp_path, capsys
+    vehicle, endpoint, start_vehicle, site_file, client, tmp_path, capsys
 ):
     start_vehicle(endpoint, waits=False)
-    client = open_client(endpoint)
     wait_until(lambda: len(present(client).get("veh1", ())) == 2)
     out = tmp_path / "out"
     assert code_of(["fleet", "pull", "veh1", "--site", site_file, "--out", str(out), "--json"]) == 1

@@ -51,10 +51,8 @@ def states(pushed) -> dict[str, str]:
     return {one.vehicle: one.state for one in pushed}
 
 
-def test_every_vehicle_begins_in_the_map_that_was_brought(
-    machines, endpoint, open_client, site_map, tmp_path
-):
-    assert states(push(open_client(endpoint), site_map, None, NAMES)) == dict.fromkeys(NAMES, "active")
+def test_every_vehicle_begins_in_the_map_that_was_brought(machines, client, site_map, tmp_path):
+    assert states(push(client, site_map, None, NAMES)) == dict.fromkeys(NAMES, "active")
     for name, machine in machines.items():
         assert machine.prepared == [(str(tmp_path / name / PUSHED), 1)]
         brought = load_map(tmp_path / name / PUSHED)
@@ -63,36 +61,32 @@ def test_every_vehicle_begins_in_the_map_that_was_brought(
         assert not list((tmp_path / name).glob(".incoming*"))
 
 
-def test_where_one_cannot_begin_all_go_back_to_the_map_before(
-    machines, endpoint, open_client, site_map, tmp_path
-):
+def test_where_one_cannot_begin_all_go_back_to_the_map_before(machines, client, site_map, tmp_path):
     machines["veh2"].mapper_fault = "out of memory"
-    pushed = push(open_client(endpoint), site_map, None, NAMES)
+    pushed = push(client, site_map, None, NAMES)
     assert states(pushed) == dict.fromkeys(NAMES, "as before")
     assert "out of memory" in pushed[1].error
     assert [Path(folder).name for folder, _ in machines["veh1"].prepared] == [PUSHED, "map"]
     assert machines["veh2"].prepared == []
 
 
-def test_where_one_cannot_take_it_none_begins(machines, endpoint, open_client, site_map, tmp_path):
+def test_where_one_cannot_take_it_none_begins(machines, client, site_map, tmp_path):
     save_map(tmp_path / "veh2" / PUSHED, [tile(0, 0, 5)], 1, graph=graph_of(3))  # another map of that name
-    pushed = push(open_client(endpoint), site_map, None, NAMES)
+    pushed = push(client, site_map, None, NAMES)
     assert states(pushed) == {"veh1": "brought", "veh2": "not brought"}
     assert "another map" in pushed[1].error
     assert machines["veh1"].prepared == []
-    assert states(push(open_client(endpoint), site_map, None, NAMES, "new")) == dict.fromkeys(NAMES, "active")
+    assert states(push(client, site_map, None, NAMES, "new")) == dict.fromkeys(NAMES, "active")
 
 
-def test_where_one_is_not_there_nothing_is_brought(machines, endpoint, open_client, site_map, tmp_path):
-    pushed = push(open_client(endpoint), site_map, None, (*NAMES, "veh3"))
+def test_where_one_is_not_there_nothing_is_brought(machines, client, site_map, tmp_path):
+    pushed = push(client, site_map, None, (*NAMES, "veh3"))
     assert [one.error for one in pushed if one.vehicle == "veh3"] == ["it does not answer"]
     assert not (tmp_path / "veh1" / PUSHED).exists()
 
 
-def test_what_is_damaged_in_transfer_does_not_become_a_map(
-    machines, endpoint, open_client, site_map, tmp_path
-):
-    client, source = open_client(endpoint), site_map / "v000001"
+def test_what_is_damaged_in_transfer_does_not_become_a_map(machines, client, site_map, tmp_path):
+    source = site_map / "v000001"
     ask(client, "veh1", f"{MAPS}/{PUSHED}/{MANIFEST}?offset=0", (source / MANIFEST).read_bytes())
     for path in source.iterdir():
         if path.name != MANIFEST:
@@ -119,9 +113,9 @@ def test_what_is_damaged_in_transfer_does_not_become_a_map(
         ("site/a/b?offset=0", "is no map"),
     ],
 )
-def test_what_belongs_to_no_map_is_refused(machines, endpoint, open_client, tmp_path, channel, words):
+def test_what_belongs_to_no_map_is_refused(machines, client, tmp_path, channel, words):
     with pytest.raises(RefusedError, match=words):
-        ask(open_client(endpoint), "veh1", f"{MAPS}/{channel}", b"payload")
+        ask(client, "veh1", f"{MAPS}/{channel}", b"payload")
     assert not (tmp_path / "veh1/site").exists()
 
 

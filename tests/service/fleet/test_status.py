@@ -45,9 +45,8 @@ def put_health(sink, client, vehicle: str = "veh1", clock_off_s: int = 0) -> Non
 
 
 def test_status_lists_each_vehicle_with_what_it_says_of_itself(
-    endpoint, router, start_vehicle, open_client, site_file, capsys
+    endpoint, start_vehicle, client, site_file, capsys
 ):
-    client = open_client(endpoint)
     for name in ("veh2", "veh1"):
         sink = start_vehicle(endpoint, name)
         sink.put(encode_pose(OUTPUT, 1))
@@ -76,10 +75,9 @@ def test_a_vehicle_whose_clock_is_a_day_off_is_not_well(
 
 
 def test_a_vehicle_that_waits_in_vain_for_its_first_scan_is_not_well(
-    endpoint, router, start_vehicle, open_client, site_file, capsys
+    endpoint, start_vehicle, client, site_file, capsys
 ):
     start_vehicle(endpoint).put(diagnostics("waiting", level=ERROR))
-    client = open_client(endpoint)
     wait_until(lambda: list(client.get("corridor/v1/veh1/health", timeout=20.0)))
     code, vehicles = vehicles_at(capsys, site_file)
     assert (code, vehicles["veh1"]["is_well"]) == (1, False)
