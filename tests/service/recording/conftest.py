@@ -1,6 +1,7 @@
 import pytest
 
 from service.recording.mcap_recorder import McapRecorder
+from tests.service.recording.foreign import Foreign
 from tests.service.recording.sessions import PLENTY
 
 
@@ -18,3 +19,8 @@ def recorder(tmp_path):
     yield start
     for made in started:
         made.finish()
+
+
+@pytest.fixture
+def foreign(tmp_path) -> Foreign:
+    return Foreign(tmp_path / "foreign.mcap")

@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 
 import pytest
-from rosbags.typesys.stores import ros2_jazzy as ros
 
 from drivers.frames import LaserScan, OdometrySample
 from service import encoding
@@ -12,6 +11,7 @@ from service.encoding import Message
 from service.errors import InputError, UsageError
 from service.recording.choice import Choice
 from service.recording.mcap_source import open_session
+from tests.service.recording.foreign import LEVEL, STORE, tf_payload, turn
 from tests.service.recording.sessions import (
     PERIOD_NS,
     T0_NS,
@@ -21,22 +21,8 @@ from tests.service.recording.sessions import (
     scan_message,
     write_file,
 )
-from tests.service.recording.test_mcap_source import LEVEL, STORE, Foreign, turn
 
 SCANS = 5
-
-
-@pytest.fixture
-def foreign(tmp_path):
-    return Foreign(tmp_path / "foreign.mcap")
-
-
-def scan(index, frame):
-    content = STORE.deserialize_cdr(scan_message(index).payload, encoding.LASER_SCAN)
-    content.header.frame_id = frame
-    payload = bytes(STORE.serialize_cdr(content, encoding.LASER_SCAN))
-    log_ns = T0_NS + index * PERIOD_NS
-    return Message("", encoding.LASER_SCAN, log_ns, log_ns, payload)
 
 
 def odometry(index, frame, child):
@@ -51,20 +37,8 @@ def odometry(index, frame, child):
 def moving(index, *edges):
     """/tf of the drive's pose at that scan, for each (frame, child)."""
     at, stamp_ns = pose_at(index), T0_NS + index * PERIOD_NS
-    stamp = ros.builtin_interfaces__msg__Time(stamp_ns // 10**9, stamp_ns % 10**9)
-    half = at.theta_rad / 2
-    transforms = [
-        ros.geometry_msgs__msg__TransformStamped(
-            ros.std_msgs__msg__Header(stamp, frame),
-            child,
-            ros.geometry_msgs__msg__Transform(
-                ros.geometry_msgs__msg__Vector3(at.x_m, at.y_m, 0.0),
-                ros.geometry_msgs__msg__Quaternion(0.0, 0.0, math.sin(half), math.cos(half)),
-            ),
-        )
-        for frame, child in edges
-    ]
-    payload = bytes(STORE.serialize_cdr(ros.tf2_msgs__msg__TFMessage(transforms), encoding.TF))
+    place = (at.x_m, at.y_m, 0.0), turn(yaw=math.degrees(at.theta_rad))
+    payload = tf_payload(stamp_ns, *((frame, child, *place) for frame, child in edges))
     return Message("", encoding.TF, stamp_ns, stamp_ns, payload)
 
 
@@ -77,7 +51,7 @@ def robot(foreign, prefix, topics, in_tf=False):
             foreign.add_message("/tf", moving(k, ("map", f"{prefix}odom"), (f"{prefix}odom", base)))
         else:
             foreign.add_message(f"{topics}odom", odometry(k, f"{prefix}odom", base))
-        foreign.add_message(f"{topics}scan", scan(k, f"{prefix}laser"))
+        foreign.add_message(f"{topics}scan", scan_message(k, f"{prefix}laser"))
     return foreign
 
 
@@ -117,9 +91,9 @@ def test_robots_with_the_same_frames_are_distinguished_by_their_namespaces(forei
     for k in range(2 * SCANS):  # robot2 says more
         for name in ("robot1", "robot2") if k < SCANS else ("robot2",):
             foreign.add_message(f"/{name}/odom", odometry(k, "odom", "base_link"))
-        foreign.add_message("/robot1/scan", scan(k, "laser"))
+        foreign.add_message("/robot1/scan", scan_message(k, "laser"))
         if k == 0:
-            foreign.add_message("/robot2/scan", scan(k, "laser"))
+            foreign.add_message("/robot2/scan", scan_message(k, "laser"))
     session = open_session(foreign.close())
     assert set(session.devices) == {"/robot1/scan", "/robot1/odom"}
 
@@ -128,7 +102,7 @@ def test_odometry_of_tf_that_no_one_knows_is_named_in_a_warning_and_by_options(f
     foreign.tf(("chassis", "laser", (0.2, 0.0, 0.1), LEVEL))
     for k in range(SCANS):
         foreign.add_message("/tf", moving(k, ("world", "dead_reckoning"), ("dead_reckoning", "chassis")))
-        foreign.add_message("/scan", scan(k, "laser"))
+        foreign.add_message("/scan", scan_message(k, "laser"))
         foreign.add_message("/tf", moving(0, ("world", "beacon")))
     paths = foreign.close()
     session = open_session(paths)
@@ -147,7 +121,7 @@ def test_a_named_topic_is_used_although_another_is_more_usual(foreign):
     robot(foreign, "", "/")
     for k in range(SCANS):
         foreign.add_message("/wheels", odometry(k, "wheels", "base_link"))
-        foreign.add_message("/filtered_scan", scan(k, "laser"))
+        foreign.add_message("/filtered_scan", scan_message(k, "laser"))
     paths = foreign.close()
     assert set(open_session(paths).devices) == {"/scan", "/odom"}
     by_topic = Choice(scan_topics=("/filtered_scan",), odom_topic="/wheels")
@@ -207,7 +181,7 @@ def test_of_a_session_of_ours_topics_are_named_likewise(tmp_path):
 def test_each_laser_has_a_name_of_its_own(foreign, lasers):
     for index, (topic, frame) in enumerate(lasers):
         foreign.tf(("base_link", frame, (0.1 * index, 0.0, 0.0), LEVEL))
-        foreign.add_message(topic, scan(index, frame))
+        foreign.add_message(topic, scan_message(index, frame))
     session = open_session(foreign.close())
     frames = list(session.frames())
     assert [session.mountings[frame.sensor].x_m for frame in frames] == pytest.approx([0.0, 0.1, 0.2])
@@ -217,6 +191,6 @@ def test_odometry_of_tf_is_read_from_topics_without_a_slash_too(foreign):
     foreign.tf(("base_link", "laser", (0.2, 0.0, 0.0), LEVEL))
     for index in range(SCANS):
         foreign.add_message("tf", moving(index, ("odom", "base_link")))
-        foreign.add_message("scan", scan(index, "laser"))
+        foreign.add_message("scan", scan_message(index, "laser"))
     session = open_session(foreign.close())
     assert [type(frame) for frame in session.frames()] == [OdometrySample, LaserScan] * SCANS

@@ -3,8 +3,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
-from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores import ros2_jazzy as ros
 
 from drivers.frames import NO_INTENSITY, GnssFix, ImuSample, LaserScan, OdometrySample
@@ -14,9 +12,8 @@ from service.errors import InputError
 from service.geometry.se2 import SE2
 from service.mapper.mapping_session import SessionRequest
 from service.recording.mcap_source import open_session
+from tests.service.recording.foreign import LEVEL, STORE, turn
 from tests.service.recording.sessions import MOUNTINGS, T0_NS, drive, scan_message, write_file
-
-STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 def bits(frame):
@@ -71,62 +68,6 @@ def test_requests_come_at_their_place_among_the_frames(tmp_path):
     ]
     assert session.counters == {"/front/scan": 4, "/events unusable": 1}
     assert len(list(session.frames())) == 4
-
-
-class Foreign:
-    """A recording as another ROS 2 program writes it."""
-
-    def __init__(self, path):
-        self.path = path
-        self._stream = path.open("wb")
-        self._writer = Writer(self._stream)
-        self._writer.start(profile="ros2", library="rosbag2")
-        self._channels = {}
-
-    def add(self, topic, type_name, payload, log_ns=T0_NS, encoding_name="cdr"):
-        if (key := (topic, type_name)) not in self._channels:
-            schema = self._writer.register_schema(type_name, "ros2msg", b"")
-            self._channels[key] = self._writer.register_channel(topic, encoding_name, schema)
-        self._writer.add_message(self._channels[key], log_ns, payload, log_ns)
-        return self
-
-    def add_message(self, topic, message: Message):
-        return self.add(topic, message.type, message.payload, message.log_ns)
-
-    def tf(self, *edges):
-        """Each edge: parent, child, (x, y, z), quaternion (w, x, y, z)."""
-        transforms = [
-            ros.geometry_msgs__msg__TransformStamped(
-                ros.std_msgs__msg__Header(ros.builtin_interfaces__msg__Time(0, 0), parent),
-                child,
-                ros.geometry_msgs__msg__Transform(
-                    ros.geometry_msgs__msg__Vector3(*xyz), ros.geometry_msgs__msg__Quaternion(x, y, z, w)
-                ),
-            )
-            for parent, child, xyz, (w, x, y, z) in edges
-        ]
-        content = ros.tf2_msgs__msg__TFMessage(transforms)
-        return self.add("/tf_static", encoding.TF, bytes(STORE.serialize_cdr(content, encoding.TF)))
-
-    def close(self):
-        self._writer.finish()
-        self._stream.close()
-        return [self.path]
-
-
-@pytest.fixture
-def foreign(tmp_path):
-    return Foreign(tmp_path / "foreign.mcap")
-
-
-def turn(roll=0.0, pitch=0.0, yaw=0.0):
-    """Quaternion (w, x, y, z) of roll, pitch or yaw in degrees about one axis."""
-    half = [math.radians(angle) / 2 for angle in (roll, pitch, yaw)]
-    w = math.cos(sum(half))
-    return (w, *(math.sin(angle) for angle in half))
-
-
-LEVEL = turn()
 
 
 def odometry(frame="odom", child="base_link", variance=0.0, is_turned=True):

@@ -18,8 +18,8 @@ from service.offline.replay.setup import ReplayOptions
 from service.recording.mcap_source import open_session
 from tests.service.conversion.messages import STORE, cloud, echoes
 from tests.service.recording.bags import write_ros1, write_ros2
+from tests.service.recording.foreign import Foreign, turn
 from tests.service.recording.sessions import drive
-from tests.service.recording.test_mcap_source import Foreign, turn
 
 SCANS = 25
 DRIVE = drive(SCANS)
