@@ -85,6 +85,12 @@ class _Site:
             self._certificate = self._sign_itself()
             write_whole(paths[1], _pem_of_key(self._key))
             write_whole(paths[0], _pem(self._certificate), 0o644)
+        elif missing := [path for path in paths if not path.exists()]:
+            raise InputError(
+                f"{missing[0]} is missing: certificates are made in the folder with ca.pem and ca.key of the "
+                "site; if it is lost, begin a new authority in an empty folder, and bring its files to all "
+                "machines"
+            )
         else:
             self._certificate = read_certificate(paths[0])
             self._key = _read_key(paths[1])

@@ -84,6 +84,7 @@ def test_no_certificate_outlives_its_authority(tmp_path):
     ("damage", "words"),
     [
         (lambda site: (site / "ca.pem").write_text("x"), r"ca\.pem: no certificate in PEM"),
+        (lambda site: (site / "ca.key").unlink(), r"ca\.key is missing: certificates are made in"),
         (lambda site: (site / "ca.key").write_text("x"), r"ca\.key: no private key in PEM"),
         (lambda site: (site / "veh1.pem").write_bytes((site / "ca.pem").read_bytes()), "no role in it"),
         (
