@@ -139,6 +139,8 @@ def refuse_line(corners: Floats) -> None:
         raise EditError(f"a wall goes through 2 points or more, not {len(corners)}")
     for segment in pairwise(corners):
         _refuse_if_large(np.array(segment), "a part of the wall", "draw it through more points")
+    if not np.ptp(corners, axis=0).any():
+        raise EditError(f"all {len(corners)} points of the wall are {at_words(corners[0])}; it has no length")
 
 
 def _refuse_if_large(points: Floats, what: str, instead: str) -> None:

@@ -124,6 +124,7 @@ def test_the_log_is_a_table_and_json(ring, capsys):
         (["--erase", 0, 0, 1, 1, 2, 2], "enclose no area"),
         (["--erase", 0, 0, 1, 0, "nan", 1], "expected X Y of 3 points"),
         (["--wall", 0, 0, 1], "expected X Y of 2 points or more"),
+        (["--wall", 1, 2, 1, 2, 1, 2], "all 3 points of the wall are (1.00, 2.00) m; it has no length"),
         (["--wall", 0, 0, 1, 1, "--free"], "--free goes with --erase"),
         (["--optimize", "--to", 1], "--to goes with --undo"),
     ],
