@@ -1,5 +1,6 @@
 """`corridor map info`, `log`, `verify` and `merge`."""
 
+import shutil
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from service.errors import InputError
+from service.errors import InputError, StorageError
 from service.geometry import poses as se2
 from service.mapper.by_hand import DRAWN_WALL
 from service.mapper.graph.edit.merging import Merged, MergeError, merge_graphs
@@ -16,6 +17,7 @@ from service.mapper.saved_graph import SavedGraph
 from service.mapstore.edits import Version
 from service.mapstore.files import StoredMap, check_versions, load_map, save_map, version_folder, versions_of
 from service.offline.maps.changed_places import read_changed_places
+from service.offline.writing import refuse_unwritable_folder
 from service.outputs import UNKNOWN
 
 
@@ -108,6 +110,7 @@ def map_merge(folders: Sequence[Path], out: Path, pair: Sequence[float] | None) 
     """
     if out.exists():
         raise InputError(f"{out} is there already; name a new folder by --out")
+    refuse_unwritable_folder(out)
     stored = [load_map(folder) for folder in folders]
     shown = OccupancyTiles(OccupancyConfig(), stored[0].cell_m)
     graph = _graph_of(stored[0], folders[0])
@@ -129,7 +132,11 @@ def map_merge(folders: Sequence[Path], out: Path, pair: Sequence[float] | None) 
     if merged.result.rendered_map is not None:
         shown.replace_by(merged.result.rendered_map, ())
     about = {**stored[0].about, "merged_from": ", ".join(str(folder) for folder in folders)}
-    save_map(out, shown.changed_tiles(), max(one.saved_ns for one in stored), about, stored[0].geo, graph)
+    try:
+        save_map(out, shown.changed_tiles(), max(one.saved_ns for one in stored), about, stored[0].geo, graph)
+    except StorageError:
+        shutil.rmtree(out, ignore_errors=True)
+        raise
     return {"map": str(out), "keyframes": len(graph), "loops": len(graph.loop_ends), "merged": steps}
 
 

@@ -1,12 +1,14 @@
 import json
+import math
 
 import pytest
 
 from service.cli import main
-from service.errors import InputError
+from service.errors import InputError, StorageError
 from service.mapstore.files import save_map
 from service.offline.maps.work import map_info, map_merge, map_verify
 from tests.service.mapstore.tile_makers import graph_of, tile
+from tests.service.offline.site.ring_drives import FRAMES, driven, store
 
 TILES = [tile(0, 0, 3), tile(-1, 2, 4)]
 
@@ -53,3 +55,17 @@ def test_a_merge_overwrites_nothing_and_takes_no_picture_and_no_map_twice(tmp_pa
     with pytest.raises(InputError, match=words):
         map_merge([tmp_path / "a", tmp_path / "a"], tmp_path / out, None)
     assert not (tmp_path / "b").exists()
+
+
+def test_a_merge_that_finds_no_room_leaves_no_folder(tmp_path, monkeypatch):
+    def no_room(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    for seed, name in enumerate("ab"):
+        store(tmp_path / name, driven(name, seed))
+    monkeypatch.setattr("service.mapstore.files.write_png", no_room)
+    frame = FRAMES["b"]
+    same_spot = [0.0, 0.0, 0.0, frame.x_m, frame.y_m, math.degrees(frame.theta_rad)]
+    with pytest.raises(StorageError, match=r"cannot save the map to .*both: No space left on device"):
+        map_merge([tmp_path / "a", tmp_path / "b"], tmp_path / "both", same_spot)
+    assert not (tmp_path / "both").exists()
