@@ -76,6 +76,19 @@ def refuse_unreachable(url: Path) -> None:
         raise InputError(f"{url} cannot be read: {words_of(error)}") from error
 
 
+def refuse_missing_bucket(url: Path) -> None:
+    """Raises StorageError where the bucket of an S3 URL is not there, or the store does not answer."""
+    store = cast(Any, url)
+    if store.protocol != "s3":
+        return
+    try:
+        store.fs.info(url.drive)
+    except FileNotFoundError as error:
+        raise StorageError(f"cannot write to {url}: there is no bucket {url.drive}; make it first") from error
+    except Exception as error:  # each store raises its own
+        raise StorageError(f"cannot write to {url}: {words_of(error)}") from error
+
+
 def fingerprint(path: Path) -> str:
     """Of the content of a file or of all files below a folder: SHA-256; of a file elsewhere what its store
     says of the content, and SHA-256 only where that is nothing.

@@ -8,16 +8,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from service.archive import is_remote
+from service.archive import is_remote, refuse_missing_bucket
 from service.errors import StorageError, words_of
 
 
 def refuse_unwritable_folder(folder: Path) -> None:
     """Raises StorageError where `folder` cannot be made, or no file in it. Nothing is made here.
 
-    Of a URL that shows only when it is written.
+    Of a URL only the bucket is looked for, which s3fs would make.
     """
     if is_remote(folder):
+        refuse_missing_bucket(folder)
         return
     nearest = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
     if not nearest.is_dir():

@@ -14,7 +14,7 @@ from pyarrow import parquet
 
 from service.archive import path_or_url
 from service.cli import main
-from service.errors import InputError, UsageError
+from service.errors import InputError, StorageError, UsageError
 from tests.s3_bucket import s3_bucket
 from tests.service.offline.cluster.test_cluster import results_in
 from tests.service.offline.conftest import record_drive
@@ -71,6 +71,15 @@ def test_a_result_in_a_bucket_replaces_the_earlier_one_there_and_nothing_else(
     assert (out / "summary.json").exists()
     assert kept.read_text() == "of before"
     assert not any(path.exists() for path in stale)
+
+
+def test_a_bucket_that_is_not_there_is_refused_and_not_made(
+    bucket: Path, record_drive: RecordDrive, capfd: pytest.CaptureFixture[str]
+):
+    out = ["--out", "s3://sight/one"]
+    assert main(["replay", str(record_drive("d", scans=10)), *out]) == StorageError.exit_code
+    assert "cannot write to s3://sight/one: there is no bucket sight; make it first" in capfd.readouterr().err
+    assert bucket.fs.ls("/", refresh=True) == ["site"]  # type: ignore[attr-defined]
 
 
 @contextmanager
