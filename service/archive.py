@@ -7,7 +7,7 @@ Path here takes one of these, too. What only the local disk can do is done in a 
 import hashlib
 import shutil
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, cast
@@ -116,16 +116,23 @@ def copy_here(path: Path, target: Path) -> None:
 
 @contextmanager
 def written_to(out: Path, remains_in: Callable[[Path], Iterable[Path]]) -> Iterator[Path]:
-    """A local folder to write in: `out` itself, or one whose files are moved to the URL `out` at the end,
-    where those of `remains_in` are removed. Where the work fails, nothing is moved or removed.
+    """A local folder of the name of `out` to write in. Its files are moved to the folder or the URL `out` at
+    the end, where those of `remains_in` are removed. Where the work fails, nothing is moved or removed.
 
-    Raises StorageError where the store refuses.
+    Raises StorageError, also for each OSError inside.
     """
     if not is_remote(out):
-        yield out
+        with _beside(out) as folder:
+            yield folder
+            for path in remains_in(out):
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+            for made in sorted(folder.iterdir()):
+                made.replace(out / made.name)
         return
-    with TemporaryDirectory(prefix="corridor-") as folder:
-        yield Path(folder)
+    with TemporaryDirectory(prefix="corridor-") as parent:
+        folder = Path(parent) / out.name
+        folder.mkdir(exist_ok=True)
+        yield folder
         try:
             store = cast(Any, out)
             for path in remains_in(out):
@@ -133,3 +140,22 @@ def written_to(out: Path, remains_in: Callable[[Path], Iterable[Path]]) -> Itera
             store.fs.put(f"{folder}/", f"{store.path}/", recursive=True)
         except Exception as error:  # each store raises its own
             raise StorageError(f"cannot write to {out}: {words_of(error)}") from error
+
+
+@contextmanager
+def _beside(out: Path) -> Iterator[Path]:
+    """A folder on the disk of the folder `out`, which is made, and removed again where the work fails."""
+    is_new = not out.exists()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".corridor-", dir=out) as parent:
+            folder = Path(parent) / out.resolve().name
+            folder.mkdir(exist_ok=True)
+            yield folder
+    except BaseException as error:
+        if is_new:
+            with suppress(OSError):  # it is not empty
+                out.rmdir()
+        if isinstance(error, OSError):
+            raise StorageError(f"cannot write to {out}: {words_of(error)}") from error
+        raise

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from service.archive import is_remote, refuse_unreachable, written_to
+from service.archive import is_remote, refuse_unreachable
 from service.compile.warm_up import KernelProgress, warm_up_in_turn
 from service.encoding import warm_up as warm_up_encoding
 from service.errors import CorridorError, StorageError, UsageError, words_of
@@ -19,10 +19,9 @@ from service.offline.past.result import DONE_FILE, MAP_FOLDER, UNEDITED
 from service.offline.replay.figures import Warned, doubts
 from service.offline.replay.pace import Watch
 from service.offline.replay.raw import FROM_RAW, remake_frames
-from service.offline.replay.result import Extra, Replay, remains_in, write_replay
+from service.offline.replay.result import Extra, Replay, write_replay
 from service.offline.replay.run import MAPPING, Progress, ReplayRun
 from service.offline.replay.setup import ReplayOptions, choice_of, set_up
-from service.offline.report import REPORT_FILE, write_report
 from service.offline.writing import refuse_unwritable_folder
 from service.readable import refuse_unreadable
 from service.recording.mcap_source import open_session
@@ -169,10 +168,7 @@ def replay_to(
     refuse_unwritable_folder(out)
     _begin_result(out, options.map)
     done = replay(session, options, progress, watch)
-    with written_to(out, remains_in) as folder:
-        write_replay(done, folder, extras)
-        if "report" in extras:
-            write_report(folder, folder / REPORT_FILE)
+    write_replay(done, out, extras)
     return done.summary
 
 

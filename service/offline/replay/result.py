@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from service import encoding
+from service.archive import written_to
 from service.errors import StorageError, words_of
 from service.geometry.geo_reference import GeoReference
 from service.geometry.se2 import SE2
@@ -41,7 +42,7 @@ from service.offline.past.result import (
     open_result,
 )
 from service.offline.replay.states_file import STATES_FILE, sigmas_of, write_states
-from service.offline.report import REPORT_FILE
+from service.offline.report import REPORT_FILE, write_report
 from service.offline.score.trajectory import write_tum
 from service.offline.writing import complete_files
 from service.outputs import MapperOutput, TileUpdate
@@ -73,31 +74,30 @@ class Replay:
 def write_replay(done: Replay, out: Path, extras: Collection[Extra] = ()) -> None:
     """trajectory.tum, trajectory_live.tum, states.csv, map.pgm + map.yaml, map.png, graph.g2o, geo.json,
     summary.json, and map/, the map as it is stored: `--map` and map.load begin in it. Where it was localised
-    in a stored map, changes.csv: what has changed since. With the extra "mcap", session.mcap.
+    in a stored map, changes.csv: what has changed since. With the extra "mcap", session.mcap; with "report",
+    report.html.
 
     There is no graph.g2o where the profile has no graph. Where fixes do not anchor the map there is no
     geo.json, and none of an earlier replay stays; where they do, map.png has a world file beside it, as far
-    as UTM reaches. Raises StorageError.
+    as UTM reaches. `out` is a folder or a URL; it is left as it was where not all can be written. Raises
+    StorageError.
 
     map.png is for people: cropped, with the path, the origin and a scale bar.
     Poses are written as a subscriber or an export of the live session has them, to the last digit.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for path in remains_in(out):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    with written_to(out, remains_in) as folder:
         stamps = [output.stamp_ns for output in done.outputs]
         live = [encoding.pose_on_wire(output.pose_map_base) for output in done.outputs]
-        write_tum(out / "trajectory_live.tum", zip(stamps, live, strict=True))
-        write_states(out / STATES_FILE, done.outputs, done.lasers)
+        write_tum(folder / "trajectory_live.tum", zip(stamps, live, strict=True))
+        write_states(folder / STATES_FILE, done.outputs, done.lasers)
         poses = list(zip(stamps, map(encoding.pose_on_wire, done.poses_map_base), strict=True))
-        _write_files(out, poses, picture_of_tiles(done.tiles), done.g2o, done.geo, done.summary)
-        write_changes(out / CHANGES_FILE, done.changes)
-        _store_map(done, out / MAP_FOLDER)
+        _write_files(folder, poses, picture_of_tiles(done.tiles), done.g2o, done.geo, done.summary)
+        write_changes(folder / CHANGES_FILE, done.changes)
+        _store_map(done, folder / MAP_FOLDER)
         if "mcap" in extras:
-            write_result_session(out / RESULT_SESSION, done)
-    except OSError as error:
-        raise StorageError(f"cannot write to {out}: {words_of(error)}") from error
+            write_result_session(folder / RESULT_SESSION, done)
+        if "report" in extras:
+            write_report(folder, folder / REPORT_FILE)
 
 
 def remains_in(out: Path) -> list[Path]:

@@ -9,7 +9,7 @@ from rosbags.highlevel import AnyReader
 
 from service.cli import main
 from service.encoding import encode_frame, encode_tf_static
-from service.errors import ConfigError, InputError, UsageError
+from service.errors import ConfigError, InputError, StorageError, UsageError
 from service.geometry.se2 import SE2
 from service.offline.replay.replay import (
     ReplayOptions,
@@ -105,6 +105,23 @@ def test_a_replay_writes_what_other_programs_read_and_counts_what_happened(
     assert summary["map_tiles"] > 0
     assert summary["keyframes"] == done.g2o.count("VERTEX_SE2") == 2  # one each 0.3 m
     assert 50 < summary["peak_rss_mb"] < 2000
+
+
+def test_a_full_disk_leaves_the_result_before_and_no_new_folder(
+    record_drive: RecordDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def no_room(*arguments: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    done, out = replay([record_drive()], ReplayOptions()), tmp_path / "out"
+    write_replay(done, out)
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    monkeypatch.setattr("service.offline.replay.result.save_map", no_room)
+    for folder in (out, tmp_path / "new"):
+        with pytest.raises(StorageError, match=f"cannot write to {folder}: No space left on device"):
+            write_replay(done, folder)
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_laser_that_is_mounted_nowhere_is_a_warning(
