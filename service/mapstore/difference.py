@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 
 from service.errors import InputError
 from service.mapstore.picture import (
@@ -45,6 +46,17 @@ class CellCounts:
     changed: int  # free, occupied, unsure or unknown in one and something else in the other
 
 
+@dataclass(frozen=True, slots=True)
+class CommonCells:
+    """Cells of the finest level that both maps know, walls of the second among them, and those of these that
+    are within a cell of a wall of the first.
+    """
+
+    area: int
+    walls: int
+    walls_near: int
+
+
 class Difference:
     """Of the finest tiles of two maps, the second as changed against the first.
 
@@ -67,6 +79,16 @@ class Difference:
             old, new = self._kinds(key)
             total += [np.count_nonzero(which) for which in (*_differing(old, new), old != new)]
         return CellCounts(*total.tolist())
+
+    def common(self) -> CommonCells:
+        total = np.zeros(3, np.int64)
+        for key in self._before.keys() & self._after.keys():
+            old, new = self._kinds(key)
+            is_common = (old != _UNKNOWN) & (new != _UNKNOWN)
+            walls = is_common & (new == _OCCUPIED)
+            near = sliding_window_view(np.pad(old == _OCCUPIED, 1), (3, 3)).any(axis=(2, 3))
+            total += [np.count_nonzero(which) for which in (is_common, walls, walls & near)]
+        return CommonCells(*total.tolist())
 
     def picture(self) -> Picture:
         """The second map in grey, and what differs in COLOURS. Raises StorageError beyond MAX_PIXELS."""

@@ -15,6 +15,7 @@ from service.mapstore.png import write_png
 from service.offline.writing import complete_files
 
 MOVED_M, MOVED_RAD = 0.001, 0.0002  # a key frame that went so far has moved
+LEAST_NEAR = 0.5  # of the walls: 0.93 to 0.99 of drives in one frame, 0.1 to 0.7 of others through one mall
 _ROWS = {  # what is counted in both directions
     "area, m2": ("area_new_m2", "area_gone_m2"),
     "cells of walls": ("wall_cells_new", "wall_cells_gone"),
@@ -46,15 +47,18 @@ def map_diff(first: Named, second: Named, out: Path | None) -> dict[str, Any]:
         "wall_cells_gone": counts.walls_gone,
         "cells_changed": counts.changed,
     }
+    has_common_keyframes = False
     if before.graph is not None and after.graph is not None:
         facts |= _graph_reported(before.graph, after.graph)
+        has_common_keyframes = facts["keyframes_new"] < len(after.graph)
+    warnings = [] if has_common_keyframes else _apart(difference)
     if out is not None:
         if out.suffix != ".png":
             raise InputError(f"{out}: the picture is a PNG; name a file that ends in .png")
         with complete_files(out) as path:
             write_png(path, annotated(difference.picture()), {**PALETTE, **COLOURS})
         facts["picture"] = str(out)
-    return {**facts, "problems": [*before.problems, *after.problems]}
+    return {**facts, "warnings": warnings, "problems": [*before.problems, *after.problems]}
 
 
 def diff_table(facts: dict[str, Any]) -> tuple[list[list[str]], dict[str, Any]]:
@@ -63,6 +67,19 @@ def diff_table(facts: dict[str, Any]) -> tuple[list[list[str]], dict[str, Any]]:
     rows += [[what, str(facts[new]), str(facts[gone])] for what, (new, gone) in _ROWS.items() if new in facts]
     in_table = {key for keys in _ROWS.values() for key in keys}
     return rows, {key: value for key, value in facts.items() if key not in in_table}
+
+
+def _apart(difference: Difference) -> list[str]:
+    """A warning where the maps are not in one frame, or of different places, as far as their walls tell."""
+    common = difference.common()
+    if common.walls and common.walls_near >= LEAST_NEAR * common.walls:
+        return []
+    return [
+        f"the maps are not in one frame, or show different places: both know "
+        f"{common.area * difference.cell_m**2:.1f} m2; of {common.walls} cells of walls that the second has "
+        f"there, {common.walls_near} lie within a cell of a wall of the first. corridor map merge finds how "
+        "two maps overlap"
+    ]
 
 
 def _name(named: Named, stored: StoredMap) -> str:

@@ -63,6 +63,32 @@ def test_poses_loops_and_points_are_compared_by_the_stamps_of_their_key_frames(t
     assert (facts["before"], facts["after"]) == (f"{tmp_path / 'a'}@1", f"{tmp_path / 'b'}@1")
 
 
+def test_maps_that_have_nothing_in_common_are_told(tmp_path):
+    walls = [(2, column, 97) for column in range(EDGE)]
+    beside = [(3, column, 97) for column in range(EDGE)]
+    elsewhere = [(row, 6, 97) for row in range(EDGE)]
+    for name, tiles in {
+        "a": [changed(FREE, *walls)],
+        "b": [changed(FREE, *beside)],
+        "c": [changed(FREE, *elsewhere)],
+        "d": [tile(9, 9, 1, value=3)],
+    }.items():
+        save_map(tmp_path / name, tiles, 1)
+
+    def warnings_of(second: str) -> list[str]:
+        return map_diff((tmp_path / "a", None), (tmp_path / second, None), None)["warnings"]
+
+    assert warnings_of("b") == []
+    assert "both know 16.0 m2; of 8 cells of walls that the second has there, 3 lie within" in warnings_of("c")[0]
+    assert "both know 0.0 m2; of 0 cells of walls" in warnings_of("d")[0]
+
+
+def test_versions_of_one_map_are_in_one_frame_whatever_their_walls(tmp_path):
+    save_map(tmp_path, [changed(FREE, (2, 3, 97))], 1, graph=graph_of(5))
+    save_map(tmp_path, [changed(FREE, (6, 6, 97))], 2, graph=graph_of(5))
+    assert map_diff((tmp_path, 1), (tmp_path, 2), None)["warnings"] == []
+
+
 def test_the_picture_shows_what_is_new_and_what_is_gone(tmp_path):
     before = changed(FREE, (2, 3, 97))
     after = changed(FREE, (4, 6, 97))
