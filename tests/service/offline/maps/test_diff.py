@@ -79,7 +79,8 @@ def test_maps_that_have_nothing_in_common_are_told(tmp_path):
         return map_diff((tmp_path / "a", None), (tmp_path / second, None), None)["warnings"]
 
     assert warnings_of("b") == []
-    assert "both know 16.0 m2; of 8 cells of walls that the second has there, 3 lie within" in warnings_of("c")[0]
+    (words,) = warnings_of("c")
+    assert "both know 16.0 m2; of 8 cells of walls that the second has there, 3 lie within" in words
     assert "both know 0.0 m2; of 0 cells of walls" in warnings_of("d")[0]
 
 
