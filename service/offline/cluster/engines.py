@@ -19,7 +19,7 @@ from uuid import uuid4
 
 from service.errors import CorridorError, StorageError, UsageError
 from service.extras import optional
-from service.interruption import before_ending, children_do_not_hear
+from service.interruption import before_ending, children_do_not_hear, end_with_parent
 from service.offline.cluster.tasks import AnyTask, Done, logged, run
 
 log = logging.getLogger(__name__)
@@ -80,7 +80,9 @@ class Processes:
         """None: not done, for a process of the pool died."""
         if self._pool is None:
             # spawn: a forked child would inherit locks of numba's and of threads that it does not have
-            self._pool = ProcessPoolExecutor(min(self._jobs, len(logs)), mp_context=get_context("spawn"))
+            self._pool = ProcessPoolExecutor(
+                min(self._jobs, len(logs)), get_context("spawn"), initializer=end_with_parent
+            )
         with children_do_not_hear():
             futures = {self._pool.submit(_run_in_pool, task, logs[k]): k for k, task in tasks.items()}
         try:

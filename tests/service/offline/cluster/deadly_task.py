@@ -1,4 +1,4 @@
-"""A task that kills its process; by itself, as each worker imports it."""
+"""Tasks that kill their process, or that of the command; by themselves, as each worker imports them."""
 
 import logging
 import os
@@ -32,3 +32,20 @@ class DeadlyTask:
                 file.write("x")
             os.kill(os.getpid(), signal.SIGKILL)
         return Done({"deaths": self.deaths}, {})
+
+
+@dataclass(frozen=True)
+class OrphanedTask:
+    """Writes the process it runs in to `place`, and kills that of the command."""
+
+    place: Path
+    program: str = ""
+
+    @property
+    def name(self) -> str:
+        return self.place.name
+
+    def work(self) -> Done:
+        self.place.write_text(str(os.getpid()))
+        os.kill(os.getppid(), signal.SIGKILL)
+        return Done({}, {})

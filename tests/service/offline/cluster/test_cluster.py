@@ -2,6 +2,10 @@
 
 import json
 import os
+import select
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -57,6 +61,33 @@ def judge(tmp_path: Path) -> Judge:
 def test_a_process_that_dies_costs_its_own_task_alone(judge: Judge):
     with Processes(2) as processes:
         judge(processes, "The last of its log")
+
+
+ORPHANING = """
+import sys
+from pathlib import Path
+from service.offline.cluster.engines import Processes
+from tests.service.offline.cluster.deadly_task import OrphanedTask
+if __name__ == "__main__":
+    with Processes(1) as processes:
+        list(processes([OrphanedTask(Path(sys.argv[1]))]))
+"""
+
+
+def test_processes_end_with_a_command_that_is_killed(tmp_path: Path):
+    place = tmp_path / "process"
+    command = subprocess.run([sys.executable, "-c", ORPHANING, str(place)], check=False, timeout=120.0)
+    assert command.returncode == -signal.SIGKILL
+    process = int(place.read_text())
+    try:
+        ended = os.pidfd_open(process)
+    except ProcessLookupError:
+        return
+    has_ended = bool(select.select([ended], [], [], 10.0)[0])
+    if not has_ended:
+        signal.pidfd_send_signal(ended, signal.SIGKILL)
+    os.close(ended)
+    assert has_ended
 
 
 @pytest.mark.parametrize("log_line", [None, in_soak("begins on tcp://127.0.0.1:")])
