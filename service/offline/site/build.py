@@ -65,7 +65,7 @@ def site_build(
         names = ", ".join(one.name for one in given)
         raise UsageError(f"--join {unknown[0]}: no such session among those given, which are {names}")
     given = [one for one in given if in_site.get(one.name) != one.digest]
-    left_out = {name: one for name, one in left_out.items() if name not in joined}
+    left_out = {name: one for name, one in left_out.items() if name not in joined and one.digest}
     with _at_work(out):
         for leftover in (path for folder in (PATHS, KEPT, "") for path in (out / folder).glob(LEFTOVERS)):
             shutil.rmtree(leftover)

@@ -81,6 +81,7 @@ def given_sessions(
             passed_over.append(
                 f"{path}: a result, of which {', '.join(inside)} are passed over; name each to add it"
             )
+    given = [*{one.result.resolve(): one for one in given}.values()]  # a folder, and again one in it
     for session in group_sessions(recordings) if recordings else []:
         given.append(Given(session_name(session), tuple(session), replayed))
     return _numbered(given, in_site), passed_over

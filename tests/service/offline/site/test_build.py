@@ -196,7 +196,8 @@ def test_a_map_that_is_no_site_is_not_built_upon(drives, tmp_path):
 
 def test_one_drive_counts_once(drives, tmp_path):
     shutil.copytree(drives / "a", tmp_path / "copy_of_a", symlinks=True)
-    report = build([drives / "a", tmp_path / "copy_of_a"], tmp_path / "map")
+    named = [drives / "a", drives / "a" / ".." / "a", tmp_path / "copy_of_a"]
+    report = build(named, tmp_path / "map")
     assert names_in(report) == ["a"]
     assert list(report["left_out"]) == ["copy_of_a"]
     assert report["left_out"]["copy_of_a"].startswith("it is the drive of a, ")
@@ -367,7 +368,9 @@ def test_a_recording_that_cannot_be_read_keeps_no_other_back_and_gives_the_exit_
     assert (names_in(report), report["failed"]) == (["a"], {"bad": InputError.exit_code})
     assert "bad.mcap is no recording" in report["left_out"]["bad"]
     assert main(command) == InputError.exit_code
-    assert main(["site", "build", str(drives / "a"), "--out", str(tmp_path / "site")]) == 0
+    capsys.readouterr()
+    assert main(["site", "build", str(drives / "a"), "--out", str(tmp_path / "site"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["left_out"] == {}
 
 
 def test_what_a_folder_of_results_has_besides_is_named(drives, tmp_path):
