@@ -1,7 +1,9 @@
 """The matcher of the default profile: Gauss-Newton on surfels, with a coarse map for other initial poses."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +59,8 @@ GAUSSIAN = 1e9  # degrees of freedom of a Gaussian error
 LESS_LIKELY_CHI2 = 2.0 * math.log(10.0)  # a tenth as likely by the prediction
 USUAL_SCANS = 50  # over which the usual inlier ratio is averaged
 WRONG_MOTION = 0.01  # probability that odometry is wrong where the map contradicts a scan near its prediction
+# Initial poses where odometry is wrong, m and rad: half a window, and the farthest.
+START_WINDOW, MAX_START_REACH = (0.5, 0.25), (1.5, math.pi)
 DOUBT_RATIO = 0.9  # factor on the usual inlier ratio, below which other initial poses are tried
 
 
@@ -170,6 +174,8 @@ class SurfelGaussNewton:
             return self._as_match(static, attempt, static.state, static.reason)
         aligned = self._align(attempt, attempt.prior.pose, submap)
         aligned = self._searched(self._matched_at_constant_velocity(aligned, attempt), attempt)
+        if aligned.state != "lost" and aligned.is_contradicted:
+            aligned = self._matched_by_inertia(aligned, attempt)
         if aligned.state != "lost" and self._is_found(aligned, attempt):
             aligned = self._scene.judge(aligned, attempt)
             if aligned.is_moving is not None:
@@ -358,11 +364,7 @@ class SurfelGaussNewton:
                 return aligned
             self._next_search_ns = attempt.points.scan.stamp_ns + round(SEARCH_INTERVAL_S * 1e9)
             reach_m, reach_rad = max(reach_m, LOST_WINDOW[0]), max(reach_rad, LOST_WINDOW[1])
-        grid = aligned.submap.grid()
-        layer = layer_of(LikelihoodField(grid.tiles, grid.field, grid.cell_m))
-        start = search_around(
-            attempt.points.xy_base, attempt.predicted.pose_odom_base, (reach_m, reach_rad), layer
-        )
+        start = _start_near(attempt, aligned.submap, attempt.predicted.pose_odom_base, (reach_m, reach_rad))
         if start is None:
             return aligned
         found = self._align(attempt, np.array(start), aligned.submap)
@@ -370,6 +372,43 @@ class SurfelGaussNewton:
             return aligned
         less_likely = _chi2(found.result.pose, attempt.prior) - _chi2(aligned.result.pose, attempt.prior)
         return found if aligned.is_contradicted or less_likely <= LESS_LIKELY_CHI2 else aligned
+
+    def _matched_by_inertia(self, aligned: Aligned, attempt: Attempt) -> Aligned:
+        """The match of most inliers within reach of inertia that the map does not contradict; [37].
+
+        The likelihood field does not count returns in free space: windows are searched one by one.
+        """
+        best, least = aligned, aligned.result.share + MIN_INLIER_GAIN
+        for centre in _windows_within(
+            _sigmas_of_inertia(attempt.predicted), attempt.predicted.pose_odom_base
+        ):
+            start = _start_near(attempt, aligned.submap, centre, START_WINDOW)
+            if start is None:
+                continue
+            found = self._align(attempt, np.array(start), aligned.submap)
+            if found.state != "lost" and not found.is_contradicted and found.result.share > least:
+                best, least = found, found.result.share
+        return best
+
+
+def _start_near(attempt: Attempt, submap: Submap, centre: SE2, reach: tuple[float, float]) -> SE2 | None:
+    """Initial pose of highest likelihood within (m, rad) of a pose."""
+    grid = submap.grid()
+    layer = layer_of(LikelihoodField(grid.tiles, grid.field, grid.cell_m))
+    return search_around(attempt.points.xy_base, centre, reach, layer)
+
+
+def _windows_within(sigmas: tuple[float, float], pose: SE2) -> Iterator[SE2]:
+    """Centres of windows of START_WINDOW about a pose, to (m, rad) away; none where one would do."""
+    widths = [2.0 * half for half in START_WINDOW]
+    reaches = map(min, sigmas, MAX_START_REACH)
+    steps, turns = (math.ceil(reach / width - 0.5) for reach, width in zip(reaches, widths, strict=True))
+    if not steps and not turns:
+        return
+    shifts_m = [widths[0] * k for k in range(-steps, steps + 1)]
+    for k in range(-turns, turns + 1):
+        for x_m, y_m in product(shifts_m, shifts_m):
+            yield pose @ SE2(x_m, y_m, widths[1] * k)
 
 
 def _with_posts(
@@ -414,8 +453,14 @@ def _doubt(predicted: Prediction) -> Matrix:
 
     Either the place has changed, or odometry is wrong and the motion unknown, but for the vehicle's inertia.
     """
+    sigma_m, sigma_rad = _sigmas_of_inertia(predicted)
+    return WRONG_MOTION * np.diag([sigma_m, sigma_m, sigma_rad]) ** 2
+
+
+def _sigmas_of_inertia(predicted: Prediction) -> tuple[float, float]:
+    """(m, rad) by which the vehicle may be away from the prediction if odometry is wrong."""
     position_m2, turn_rad2 = velocity_variance(min(predicted.elapsed_s, GAP_S))
-    return WRONG_MOTION * np.diag([position_m2, position_m2, turn_rad2])
+    return math.sqrt(position_m2), math.sqrt(turn_rad2)
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:

@@ -169,7 +169,7 @@ def test_given_recordings_of_a_scene_that_moves_end_where_the_vehicle_did(
     assert done.outputs[-1].pose_odom_base.x_m == pytest.approx(end_m, abs=0.1)
 
 
-@pytest.mark.parametrize("name", ["mines1", "wean1", in_soak("pioneer_lgfloor")])
+@pytest.mark.parametrize("name", ["mines1", in_soak("wean1"), in_soak("pioneer_lgfloor")])
 def test_noise_of_a_laser_and_of_wheels_is_no_moving_scene(shared: Path, name: str) -> None:
     """Nothing moves there: a URG-04LX with odometry 0.19 s late, a SICK in a corridor, a URG-04LX."""
     done = replay([shared / "datasets" / name / f"{name}.mcap"], ReplayOptions())

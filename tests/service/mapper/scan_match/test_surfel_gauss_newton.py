@@ -1,5 +1,7 @@
+import math
 import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
 from service.mapper.scan_match.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.scan_match.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
+from service.offline.replay.replay import ReplayOptions, replay
 from tests.service.mapper.maps.points import match_at, points_of, prediction, square
 
 
@@ -262,3 +265,18 @@ def test_points_are_matched_where_their_beams_meet_walls_and_come_back_as_they_w
     assert found.state == "ok"
     np.testing.assert_allclose(found.points.xy_base, noisy.xy_base, atol=1e-9)
     np.testing.assert_array_equal(found.points.xy_raw, noisy.xy_raw)
+
+
+def test_odometry_that_repeats_a_pose_and_jumps_does_not_turn_the_map(shared: Path) -> None:
+    """After 56 s odometry lacks 0.85 m and 50 deg, in 1.7 s without a scan."""
+    folder = shared / "datasets" / "csail"
+    outputs = replay([folder / "csail.mcap"], ReplayOptions()).outputs
+    reference = np.loadtxt(folder / "ref.csv")
+    begin_ns = outputs[0].stamp_ns
+    before, after = (next(o for o in outputs if o.stamp_ns > begin_ns + s * 1_000_000_000) for s in (50, 71))
+    ours = before.pose_map_base.inverse() @ after.pose_map_base
+    rows = reference[:, 0].searchsorted([before.stamp_ns * 1e-9 - 0.01, after.stamp_ns * 1e-9 - 0.01])
+    true_before, true_after = (SE2(*reference[row, 1:].tolist()) for row in rows)
+    off = (true_before.inverse() @ true_after).inverse() @ ours
+    assert math.hypot(off.x_m, off.y_m) < 0.5
+    assert abs(off.theta_rad) < math.radians(6.0)
