@@ -121,7 +121,7 @@ class Measurement(NamedTuple):
                       the pose is the prediction
     prior_weight      weight of the prediction in the match; below 1 it was far off
     gap               (3, 3) covariance to add to the prediction, base axes, where the scan was matched to
-                      another segment of the map than the scans before, or the map contradicts it; else None
+                      another segment of the map than the scans before; else None
     segment_noise     (3, 3) covariance, base axes, by which the segment may have moved since the scan before,
                       where nothing else measured the motion; None: it stands still
     is_joined         False: pose and covariance are those of the scan alone; the motion model fuses them with

@@ -111,8 +111,8 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ),
     (
         "odometry may be wrong where the map contradicts a scan near its prediction ([37])",
-        f"{METHOD}.surfel_gauss_newton",
-        {"WRONG_MOTION": 0.0},
+        f"{METHOD}.surfel_gauss_newton.SurfelGaussNewton",
+        {"_matched_by_inertia": lambda _, aligned, attempt: aligned},
     ),
     ("deskew", "service.estimator.estimator", {"deskew_sweep": not_deskewed}),
     ("weight by static score", DYNAMIC_FILTER, {"MIN_NEW_WEIGHT": 1.0}),

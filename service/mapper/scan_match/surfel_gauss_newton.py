@@ -58,7 +58,6 @@ MAX_REPEATS = 100.0  # scans with the same noise of the map, at standstill
 GAUSSIAN = 1e9  # degrees of freedom of a Gaussian error
 LESS_LIKELY_CHI2 = 2.0 * math.log(10.0)  # a tenth as likely by the prediction
 USUAL_SCANS = 50  # over which the usual inlier ratio is averaged
-WRONG_MOTION = 0.01  # probability that odometry is wrong where the map contradicts a scan near its prediction
 # Initial poses where odometry is wrong, m and rad: half a window, and the farthest.
 START_WINDOW, MAX_START_REACH = (0.5, 0.25), (1.5, math.pi)
 DOUBT_RATIO = 0.9  # factor on the usual inlier ratio, below which other initial poses are tried
@@ -235,9 +234,6 @@ class SurfelGaussNewton:
         result, pose, gap, covariance = aligned.result, aligned.pose, None, aligned.result.covariance
         if state != "lost" and self._gap is not None:
             gap = attempt.prior.covariance - attempt.predicted.local_covariance
-        elif state != "lost" and aligned.is_moving is None and aligned.is_contradicted:
-            gap = _doubt(attempt.predicted)
-            covariance = covariance + gap
         measured = Measurement(pose, covariance, result.information, result.prior_weight, gap)
         forward, left, turn = result.twist.tolist()
         motion = Motion(pose, (forward, left, turn), covariance)
@@ -379,9 +375,7 @@ class SurfelGaussNewton:
         The likelihood field does not count returns in free space: windows are searched one by one.
         """
         best, least = aligned, aligned.result.share + MIN_INLIER_GAIN
-        for centre in _windows_within(
-            _sigmas_of_inertia(attempt.predicted), attempt.predicted.pose_odom_base
-        ):
+        for centre in _windows_of_inertia(attempt.predicted):
             start = _start_near(attempt, aligned.submap, centre, START_WINDOW)
             if start is None:
                 continue
@@ -398,17 +392,17 @@ def _start_near(attempt: Attempt, submap: Submap, centre: SE2, reach: tuple[floa
     return search_around(attempt.points.xy_base, centre, reach, layer)
 
 
-def _windows_within(sigmas: tuple[float, float], pose: SE2) -> Iterator[SE2]:
-    """Centres of windows of START_WINDOW about a pose, to (m, rad) away; none where one would do."""
+def _windows_of_inertia(predicted: Prediction) -> Iterator[SE2]:
+    """Centres of windows of START_WINDOW within reach if odometry is wrong; none where one would do."""
+    sigmas = np.sqrt(velocity_variance(min(predicted.elapsed_s, GAP_S)))
     widths = [2.0 * half for half in START_WINDOW]
-    reaches = map(min, sigmas, MAX_START_REACH)
-    steps, turns = (math.ceil(reach / width - 0.5) for reach, width in zip(reaches, widths, strict=True))
+    steps, turns = np.ceil(np.minimum(sigmas, MAX_START_REACH) / widths - 0.5).astype(int).tolist()
     if not steps and not turns:
         return
     shifts_m = [widths[0] * k for k in range(-steps, steps + 1)]
     for k in range(-turns, turns + 1):
         for x_m, y_m in product(shifts_m, shifts_m):
-            yield pose @ SE2(x_m, y_m, widths[1] * k)
+            yield predicted.pose_odom_base @ SE2(x_m, y_m, widths[1] * k)
 
 
 def _with_posts(
@@ -446,21 +440,6 @@ def _chance_chi2(predicted: Prediction) -> float:
     """Squared sigmas of chance that are subtracted from the information of a scan; [22]."""
     travel_m = max(predicted.travel_m, CHANCE_M / MAX_CHANCE_SCANS)
     return 2.0 * math.log(max(CHANCE_M / travel_m, 1.0))
-
-
-def _doubt(predicted: Prediction) -> Matrix:
-    """(3, 3) covariance, base axes, of a pose near the prediction that the map contradicts; [37].
-
-    Either the place has changed, or odometry is wrong and the motion unknown, but for the vehicle's inertia.
-    """
-    sigma_m, sigma_rad = _sigmas_of_inertia(predicted)
-    return WRONG_MOTION * np.diag([sigma_m, sigma_m, sigma_rad]) ** 2
-
-
-def _sigmas_of_inertia(predicted: Prediction) -> tuple[float, float]:
-    """(m, rad) by which the vehicle may be away from the prediction if odometry is wrong."""
-    position_m2, turn_rad2 = velocity_variance(min(predicted.elapsed_s, GAP_S))
-    return math.sqrt(position_m2), math.sqrt(turn_rad2)
 
 
 def _chi2(pose: Matrix, prior: Prior) -> float:

@@ -76,26 +76,6 @@ def test_after_a_pause_in_which_no_one_saw_the_motion_a_scan_has_to_lie_on_the_m
     assert new_matcher().match(square(), unseen, mapped(square())).state == "ok"
 
 
-@pytest.mark.parametrize(("elapsed_s", "sigma_rad"), [(0.02, 0.0), (1.0, 0.115), (5.0, 0.456)])
-def test_a_scan_that_the_map_contradicts_may_be_where_the_vehicle_went_unmeasured(
-    elapsed_s: float, sigma_rad: float
-) -> None:
-    """Half of the room is another: it has changed, or odometry is wrong; [37]."""
-    xy, chain = square().xy_base, mapped(square())
-    is_other = (np.abs(np.arctan2(xy[:, 1], xy[:, 0])) < 1.95)[:, None]
-    seen = replace(predicted(SE2(0.02, 0.0, 0.0)), elapsed_s=elapsed_s)
-    usual, doubtful = (
-        new_matcher().match(points_of(np.where(is_other, times * xy, xy)), seen, chain).measured
-        for times in (1.0, 3.5)
-    )
-    assert usual is not None
-    assert doubtful is not None
-    assert usual.gap is None
-    assert doubtful.gap is not None
-    assert np.sqrt(doubtful.gap[2, 2]) == pytest.approx(sigma_rad, abs=1e-3)
-    assert np.all(np.linalg.eigvalsh(doubtful.covariance - doubtful.gap) > 0.0)
-
-
 def test_where_no_one_measured_the_motion_the_map_is_asked_again_when_the_graph_has_found_the_place() -> None:
     """The same walls prove nothing, for others may look alike."""
     chain, matcher, points = mapped(square()), new_matcher(), square()
