@@ -60,6 +60,12 @@ class Aligned(NamedTuple):
         return is_contradicted(self.evidence)
 
     @property
+    def advantage(self) -> float:
+        """Share of the returns on the map, less that in its free space or behind its walls."""
+        evidence = self.evidence
+        return evidence.inlier_ratio - (evidence.in_free + (evidence.behind or 0.0)) / max(evidence.used, 1)
+
+    @property
     def pose(self) -> SE2:
         return SE2(*self.result.pose.tolist())
 

@@ -25,6 +25,7 @@ from service.mapper.judgement import (
     Evidence,
     JudgementConfig,
     begun,
+    chi2_between,
     is_loose,
     judge,
     sigmas_of,
@@ -370,19 +371,25 @@ class SurfelGaussNewton:
         return found if aligned.is_contradicted or less_likely <= LESS_LIKELY_CHI2 else aligned
 
     def _matched_by_inertia(self, aligned: Aligned, attempt: Attempt) -> Aligned:
-        """The match of most inliers within reach of inertia that the map does not contradict; [37].
+        """The most likely match by inertia that the map confirms more than the accepted one; [37].
 
         The likelihood field does not count returns in free space: windows are searched one by one.
         """
-        best, least = aligned, aligned.result.share + MIN_INLIER_GAIN
-        for centre in _windows_of_inertia(attempt.predicted):
+        predicted, found = attempt.predicted, []
+        position_m2, turn_rad2 = velocity_variance(min(predicted.elapsed_s, GAP_S))
+        covariance = np.diag([position_m2, position_m2, turn_rad2])
+        for centre in _windows_within(predicted.pose_odom_base, sigmas_of(covariance)):
             start = _start_near(attempt, aligned.submap, centre, START_WINDOW)
-            if start is None:
-                continue
-            found = self._align(attempt, np.array(start), aligned.submap)
-            if found.state != "lost" and not found.is_contradicted and found.result.share > least:
-                best, least = found, found.result.share
-        return best
+            if start is not None:
+                found.append(self._align(attempt, np.array(start), aligned.submap))
+        found = [one for one in found if one.state != "lost" and not one.is_contradicted]
+        best = max((one.advantage for one in found), default=-1.0)
+        if best < aligned.advantage + MIN_INLIER_GAIN:
+            return aligned
+        return min(
+            (one for one in found if one.advantage >= best - MIN_INLIER_GAIN),
+            key=lambda one: chi2_between(predicted.pose_odom_base, one.pose, covariance),
+        )
 
 
 def _start_near(attempt: Attempt, submap: Submap, centre: SE2, reach: tuple[float, float]) -> SE2 | None:
@@ -392,17 +399,16 @@ def _start_near(attempt: Attempt, submap: Submap, centre: SE2, reach: tuple[floa
     return search_around(attempt.points.xy_base, centre, reach, layer)
 
 
-def _windows_of_inertia(predicted: Prediction) -> Iterator[SE2]:
-    """Centres of windows of START_WINDOW within reach if odometry is wrong; none where one would do."""
-    sigmas = np.sqrt(velocity_variance(min(predicted.elapsed_s, GAP_S)))
+def _windows_within(pose: SE2, reach: tuple[float, float]) -> Iterator[SE2]:
+    """Centres of windows of START_WINDOW about a pose, as far as (m, rad); none where one would do."""
     widths = [2.0 * half for half in START_WINDOW]
-    steps, turns = np.ceil(np.minimum(sigmas, MAX_START_REACH) / widths - 0.5).astype(int).tolist()
+    steps, turns = np.ceil(np.minimum(reach, MAX_START_REACH) / widths - 0.5).astype(int).tolist()
     if not steps and not turns:
         return
     shifts_m = [widths[0] * k for k in range(-steps, steps + 1)]
     for k in range(-turns, turns + 1):
         for x_m, y_m in product(shifts_m, shifts_m):
-            yield predicted.pose_odom_base @ SE2(x_m, y_m, widths[1] * k)
+            yield pose @ SE2(x_m, y_m, widths[1] * k)
 
 
 def _with_posts(
