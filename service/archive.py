@@ -85,6 +85,8 @@ def refuse_missing_bucket(url: Path) -> None:
         store.fs.info(url.drive)
     except FileNotFoundError as error:
         raise StorageError(f"cannot write to {url}: there is no bucket {url.drive}; make it first") from error
+    except PermissionError:
+        return  # who may write below a prefix alone may not ask for the bucket
     except Exception as error:  # each store raises its own
         raise StorageError(f"cannot write to {url}: {words_of(error)}") from error
 

@@ -12,7 +12,7 @@ import pytest
 from aiohttp import web
 from pyarrow import parquet
 
-from service.archive import path_or_url
+from service.archive import path_or_url, refuse_missing_bucket
 from service.cli import main
 from service.errors import InputError, StorageError, UsageError
 from tests.s3_bucket import s3_bucket
@@ -80,6 +80,17 @@ def test_a_bucket_that_is_not_there_is_refused_and_not_made(
     assert main(["replay", str(record_drive("d", scans=10)), *out]) == StorageError.exit_code
     assert "cannot write to s3://sight/one: there is no bucket sight; make it first" in capfd.readouterr().err
     assert bucket.fs.ls("/", refresh=True) == ["site"]  # type: ignore[attr-defined]
+
+
+def test_a_bucket_that_may_not_be_asked_for_is_not_refused(
+    bucket: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(_: str) -> None:
+        raise PermissionError("Forbidden")
+
+    out = bucket / "one"
+    monkeypatch.setattr(out.fs, "info", forbidden)  # type: ignore[attr-defined]
+    refuse_missing_bucket(out)
 
 
 @contextmanager
