@@ -23,6 +23,7 @@ from service.offline.score.score import (
     score,
 )
 from service.offline.score.trajectory import read_tum
+from service.outputs import State
 from tests.papers.report import Row, Section
 from tests.shared_data import SHARED
 
@@ -163,9 +164,9 @@ def mapped(recording: Path, out: Path, settings: Mapping[str, Any] | None = None
     return done
 
 
-def lost_percent(done: Replay) -> float:
+def percent_of(done: Replay, state: State) -> float:
     """Of the scans."""
-    return 100.0 * sum(output.state == "lost" for output in done.outputs) / len(done.outputs)
+    return 100.0 * sum(output.state == state for output in done.outputs) / len(done.outputs)
 
 
 def against_truth(estimate: Path, truth: Path) -> TrajectoryScore:

@@ -17,7 +17,7 @@ from simulators.truth import IBEO_LUX, LaserModel
 from simulators.worlds import WORLDS
 from tests.accuracy.driving import Trip, errors_of, ok_and_wrong_row
 from tests.accuracy.given import off_and_nees, recording_of, wrong_row
-from tests.accuracy.recorded import against_truth, lost_percent, mapped, rewrite
+from tests.accuracy.recorded import against_truth, mapped, percent_of, rewrite
 from tests.papers.report import Row, Section
 from tests.simulated import LMS100_50HZ, Drive, Imu, Laser, Wheels, run
 
@@ -220,6 +220,6 @@ def _frozen_rows(what: str, recording: Path, truth: Path, out: Path) -> list[Row
     off_m, _ = off_and_nees(done, truth)
     return [
         Row(f"{what}: ATE", [1e3 * finished.ate_aligned_m.rms], "mm"),
-        Row(f"{what}: scans lost", [lost_percent(done)], "%"),
+        Row(f"{what}: scans lost", [percent_of(done, "lost")], "%"),
         wrong_row(what, done, off_m),
     ]

@@ -10,7 +10,7 @@ from typing import Any
 from service.offline.replay.replay import ReplayOptions, replay, write_replay
 from service.offline.score.score import RelationsScore, score
 from tests.accuracy.given import recording_of, truth_of
-from tests.accuracy.recorded import lost_percent
+from tests.accuracy.recorded import percent_of
 from tests.papers.report import Row
 
 BUILDINGS = ("fr079", "intel", "csail", "aces")
@@ -49,7 +49,7 @@ def rescored(profile: str, name: str, settings: str = "{}") -> Score | None:
         write_replay(done, Path(made))
         truth, shift_s = truth_of(name)
         found = score(Path(made) / "trajectory.tum", truth, shift_s=shift_s)
-    lost = lost_percent(done) / 100.0
+    lost = percent_of(done, "lost") / 100.0
     if isinstance(found, RelationsScore):
         return Score(found.errors[0].translation_m.mean, found.errors[0].rotation_deg.mean, None, lost)
     return Score(found.ate_aligned_m.rms, None, found.closure_m, lost)
