@@ -62,6 +62,7 @@ class Evidence(NamedTuple):
                 missing for longer than GAP_S
     weakest     (m, rad) sigma of the position by the scan alone in its worst direction, and that direction
                 in base axes
+    open_m      how far the vehicle can have come since a scan fixed its position, m
     behind      returns clearly behind walls of the map, on unknown ground; None: not counted
     is_in_doubt  a scan has contradicted this map since the last match: then returns on unknown ground are no
                 evidence of new ground, and those behind walls count as contradictions
@@ -77,6 +78,7 @@ class Evidence(NamedTuple):
     weakest: tuple[float, float] = (0.0, 0.0)
     behind: float | None = None
     is_in_doubt: bool = False
+    open_m: float = math.inf
 
     @property
     def inlier_ratio(self) -> float:
@@ -234,7 +236,7 @@ def _confidence_on_map(evidence: Evidence, limits: JudgementConfig) -> tuple[Sta
             "is the window covered, or is there little in range?",
         )
     sigma_m, direction_rad = evidence.weakest
-    if sigma_m > limits.degraded_sigma_m:
+    if sigma_m > limits.degraded_sigma_m and evidence.open_m > MAX_SIGMA_M:
         sigma = f"{sigma_m:.2f} m" if sigma_m <= UNKNOWN_SIGMA_M else "not known"
         return "degraded", Reason(
             "open_direction",

@@ -29,6 +29,7 @@ class Attempt(NamedTuple):
     predicted: Prediction
     prior: Prior
     usual_ratio: float  # recent inlier ratio of this laser's scans
+    open_m: float  # as in Evidence
 
     @property
     def stamp_ns(self) -> int:

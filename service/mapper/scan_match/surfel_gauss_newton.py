@@ -102,6 +102,8 @@ class SurfelGaussNewton:
         self._scene = MovingScene(self._align, self._steady, config.degraded_sigma_m)
         self._was_contradicted = False  # the prediction, by the previous scan
         self._next_search_ns = 0  # next wide search at the earliest
+        # How far the vehicle can have come since a scan fixed its position, m, and its speed then, m/s.
+        self._open_m, self._fixed_mps = 0.0, 0.0
         self._gap: _Gap | None = None
         self._began: _Gap | None = None  # the gap of a segment that would begin with this scan
         self._detached: Submap | None = None  # the segment of `gap`
@@ -163,7 +165,8 @@ class SurfelGaussNewton:
         on_walls, normals = local_map.on_walls(points)
         prior = _prior_of(predicted, self._gap)
         usual = self._usual_ratios.get(points.scan.sensor, 1.0)
-        return Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual)
+        open_m = self._open_m + max(predicted.travel_m, predicted.elapsed_s * self._fixed_mps)
+        return Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual, open_m)
 
     def _matched(self, attempt: Attempt, local_map: SurfelSubmaps, submap: Submap) -> Match:
         if local_map.pause_s:
@@ -171,7 +174,7 @@ class SurfelGaussNewton:
             reason = _unmeasured(local_map.pause_s) if is_silent else SEGMENT_MAY_MOVE
             return self._on_segment(attempt, local_map, reason, 0.0, False)
         if (static := self._scene.match(attempt, submap)) is not None:
-            return self._as_match(static, attempt, static.state, static.reason)
+            return self._followed(static, attempt)
         aligned = self._align(attempt, attempt.prior.pose, submap)
         aligned = self._searched(self._matched_at_constant_velocity(aligned, attempt), attempt)
         if aligned.state != "lost" and aligned.is_contradicted:
@@ -179,14 +182,14 @@ class SurfelGaussNewton:
         if aligned.state != "lost" and self._is_found(aligned, attempt):
             aligned = self._scene.judge(aligned, attempt)
             if aligned.is_moving is not None:
-                return self._as_match(aligned, attempt, aligned.state, aligned.reason)
+                return self._followed(aligned, attempt)
             sensor, usual = attempt.points.scan.sensor, attempt.usual_ratio
             self._usual_ratios[sensor] = usual + (aligned.result.share - usual) / USUAL_SCANS
             self._learn_bias(aligned, attempt, local_map)
             self._was_contradicted = aligned.result.prior_weight < MIN_PRIOR_WEIGHT
-            return self._as_match(aligned, attempt, aligned.state, aligned.reason)
+            return self._followed(aligned, attempt)
         if self._gap is None and (static := self._scene.explain(attempt, submap)) is not None:
-            return self._as_match(static, attempt, static.state, static.reason)
+            return self._followed(static, attempt)
         return self._on_segment(
             attempt, local_map, aligned.reason, aligned.result.share, aligned.is_contradicted
         )
@@ -201,6 +204,7 @@ class SurfelGaussNewton:
     ) -> Match:
         """The match on the detached segment, if there is one; its state is lost for the given reason."""
         points, predicted = attempt.points, attempt.predicted
+        self._open_m = math.inf
         self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
         if local_map.detached is None:
             return unmatched(points, predicted, reason, inlier_ratio, is_contradicted)
@@ -230,6 +234,13 @@ class SurfelGaussNewton:
         if not is_loose(sigmas_of(attempt.prior.covariance)):
             return True
         return self._confirmation.confirms(aligned.pose, attempt.predicted.pose_odom_base)
+
+    def _followed(self, aligned: Aligned, attempt: Attempt) -> Match:
+        """The accepted match."""
+        self._open_m = attempt.open_m
+        if aligned.result.weakest_sigma_m <= self._config.degraded_sigma_m:
+            self._open_m, self._fixed_mps = 0.0, math.hypot(*aligned.result.twist[:2].tolist())
+        return self._as_match(aligned, attempt, aligned.state, aligned.reason)
 
     def _as_match(self, aligned: Aligned, attempt: Attempt, state: State, reason: Reason) -> Match:
         result, pose, gap, covariance = aligned.result, aligned.pose, None, aligned.result.covariance
@@ -324,6 +335,7 @@ class SurfelGaussNewton:
             behind=behind,
             is_in_doubt=self._gap is not None,
             weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
+            open_m=attempt.open_m,
         )
 
     def _matched_at_constant_velocity(self, aligned: Aligned, attempt: Attempt) -> Aligned:

@@ -128,6 +128,11 @@ def test_an_uncertain_position_along_an_open_direction_is_not_lost(
     assert state(slipped, **changes) == expected
 
 
+@pytest.mark.parametrize(("open_m", "expected"), [(0.0, "ok"), (0.15, "ok"), (0.16, "degraded")])
+def test_a_direction_that_was_fixed_a_moment_ago_is_not_open(open_m: float, expected: str) -> None:
+    assert state(GOOD, weakest=(5.0, 0.0), open_m=open_m) == expected
+
+
 @pytest.mark.parametrize("much", [185363.8, math.inf])
 def test_a_sigma_that_measures_nothing_is_not_reported_as_a_number(much: float) -> None:
     reason = judge(GOOD._replace(weakest=(much, 0.5)), RATIOS)[1]
