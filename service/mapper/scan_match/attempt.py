@@ -29,7 +29,7 @@ class Attempt(NamedTuple):
     predicted: Prediction
     prior: Prior
     usual_ratio: float  # recent inlier ratio of this laser's scans
-    open_m: float  # as in Evidence
+    since_fix: tuple[float, float]  # time, s, and path, m, since a scan fixed the position
 
     @property
     def stamp_ns(self) -> int:

@@ -94,7 +94,7 @@ class MovingScene:
         self._degraded_sigma_m = degraded_sigma_m
         self._reckoning = Reckoning()
         self._moves_until_ns = NOTHING_MOVES  # at least
-        self._has_displaced = False  # moving objects, the matches of entire scans
+        self._has_displaced = False  # whether moving objects displace matches of entire scans
         self._has_moved = False  # part of the scene, in the newest judged scan
         # Since the last observation of motion: accumulated steps from the static match to that of the entire
         # scan, the variance of odometry beyond its model, and path length.

@@ -102,8 +102,8 @@ class SurfelGaussNewton:
         self._scene = MovingScene(self._align, self._steady, config.degraded_sigma_m)
         self._was_contradicted = False  # the prediction, by the previous scan
         self._next_search_ns = 0  # next wide search at the earliest
-        # How far the vehicle can have come since a scan fixed its position, m, and its speed then, m/s.
-        self._open_m, self._fixed_mps = 0.0, 0.0
+        # Since a scan fixed the position: time, s, and path, m; the speed then, m/s.
+        self._since_fix, self._fixed_mps = (0.0, 0.0), 0.0
         self._gap: _Gap | None = None
         self._began: _Gap | None = None  # the gap of a segment that would begin with this scan
         self._detached: Submap | None = None  # the segment of `gap`
@@ -165,8 +165,9 @@ class SurfelGaussNewton:
         on_walls, normals = local_map.on_walls(points)
         prior = _prior_of(predicted, self._gap)
         usual = self._usual_ratios.get(points.scan.sensor, 1.0)
-        open_m = self._open_m + max(predicted.travel_m, predicted.elapsed_s * self._fixed_mps)
-        return Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual, open_m)
+        open_s, path_m = self._since_fix
+        since_fix = open_s + predicted.elapsed_s, path_m + predicted.travel_m
+        return Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual, since_fix)
 
     def _matched(self, attempt: Attempt, local_map: SurfelSubmaps, submap: Submap) -> Match:
         if local_map.pause_s:
@@ -204,7 +205,7 @@ class SurfelGaussNewton:
     ) -> Match:
         """The match on the detached segment, if there is one; its state is lost for the given reason."""
         points, predicted = attempt.points, attempt.predicted
-        self._open_m = math.inf
+        self._since_fix = math.inf, math.inf
         self._began = _Gap(predicted.pose_odom_base, attempt.prior.covariance)
         if local_map.detached is None:
             return unmatched(points, predicted, reason, inlier_ratio, is_contradicted)
@@ -237,9 +238,9 @@ class SurfelGaussNewton:
 
     def _followed(self, aligned: Aligned, attempt: Attempt) -> Match:
         """The accepted match."""
-        self._open_m = attempt.open_m
+        self._since_fix = attempt.since_fix
         if aligned.result.weakest_sigma_m <= self._config.degraded_sigma_m:
-            self._open_m, self._fixed_mps = 0.0, math.hypot(*aligned.result.twist[:2].tolist())
+            self._since_fix, self._fixed_mps = (0.0, 0.0), math.hypot(*aligned.result.twist[:2].tolist())
         return self._as_match(aligned, attempt, aligned.state, aligned.reason)
 
     def _as_match(self, aligned: Aligned, attempt: Attempt, state: State, reason: Reason) -> Match:
@@ -320,6 +321,8 @@ class SurfelGaussNewton:
             or _chi2(result.pose, attempt.prior) > JUMP_CHI2
             or (is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S))
         )
+        open_s, path_m = attempt.since_fix
+        open_m = max(path_m, open_s * self._fixed_mps) + math.sqrt(velocity_variance(open_s)[0])
         in_free, behind = 0, 0
         doubt_ratio = max(DOUBT_RATIO * attempt.usual_ratio, self._config.degraded_ratio)
         if is_far or result.share < doubt_ratio:
@@ -335,7 +338,7 @@ class SurfelGaussNewton:
             behind=behind,
             is_in_doubt=self._gap is not None,
             weakest=(result.weakest_sigma_m, result.weakest_direction_rad),
-            open_m=attempt.open_m,
+            open_m=open_m,
         )
 
     def _matched_at_constant_velocity(self, aligned: Aligned, attempt: Attempt) -> Aligned:

@@ -247,16 +247,17 @@ def test_points_are_matched_where_their_beams_meet_walls_and_come_back_as_they_w
     np.testing.assert_array_equal(found.points.xy_raw, noisy.xy_raw)
 
 
-@pytest.mark.parametrize(("speed_mps", "oks"), [(0.0, 2), (1.0, 1)])
+@pytest.mark.parametrize(("travel_m", "speed_mps", "oks"), [(0.0, 0.0, 4), (0.04, 0.0, 2), (0.04, 1.0, 1)])
 def test_a_direction_is_open_once_the_vehicle_can_have_left_where_it_was_fixed(
-    speed_mps: float, oks: int
+    travel_m: float, speed_mps: float, oks: int
 ) -> None:
-    """By odometry 6 cm in each 0.1 s, or by its speed when the last scan fixed the position, if more."""
+    """By odometry in each 0.1 s, or by its speed when the last scan fixed the position; and by inertia."""
     room, chain, matcher = square(), mapped(square()), new_matcher()
     walls = points_of(room.xy_base[np.abs(room.xy_base[:, 1]) > 1.99])
-    seen = replace(predicted(SE2()), travel_m=0.06, twist_base=(speed_mps, 0.0, 0.0))
-    states = [matcher.match(points, seen, chain).state for points in (room, walls, walls, walls, room, walls)]
-    assert states == ["ok", *["ok" if k < oks else "degraded" for k in range(3)], "ok", "ok"]
+    seen = replace(predicted(SE2()), travel_m=travel_m, twist_base=(speed_mps, 0.0, 0.0))
+    scans = (room, *5 * (walls,), room, walls)
+    states = [matcher.match(points, seen, chain).state for points in scans]
+    assert states == ["ok", *oks * ("ok",), *(5 - oks) * ("degraded",), "ok", "ok"]
 
 
 def test_odometry_that_repeats_a_pose_and_jumps_does_not_turn_the_map(shared: Path) -> None:
