@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
-from service.kernels.estimator import predict_motion, take_match, transfer_into_map
+from service.kernels.estimator import predict_motion, take_match
 from service.kernels.filter_state import LOCAL_BLOCK, MAP_BLOCK, STUDENT, FilterRecord
 from service.kernels.tracks import Track
 
@@ -18,26 +18,22 @@ Matrix = npt.NDArray[np.float64]
 
 
 class ConsistentCovariance:
-    """Active while only scans measure the motion."""
+    """Exists while only scans measure the motion."""
 
-    def __init__(self) -> None:
-        # Only the covariance is used; the rest is a copy of the estimator's.
-        self._record: FilterRecord | None = None
+    def __init__(self, record: FilterRecord) -> None:
+        """record: the estimator's, as of a prediction."""
+        self._record = record.copy()  # only the covariance is used; the rest is a copy of the estimator's
+        self.covariance: Matrix = self._record["covariance"][0]
 
     def predict(self, record: FilterRecord, odometry: Track, gyro: Track, stamp_ns: int) -> None:
         """Propagate to the time of a scan; record: the estimator's, as of the scan before."""
-        if self._record is not None:
-            predict_motion(self.view(record), odometry, gyro, stamp_ns)
+        predict_motion(self.view(record), odometry, gyro, stamp_ns)
 
-    def switch(self, record: FilterRecord, is_scan_alone: bool) -> None:
-        """Start, or stop and add to `record` (as of the prediction) the excess of this covariance."""
-        if is_scan_alone and self._record is None:
-            self._record = record.copy()
-        elif not is_scan_alone and self._record is not None:
-            covariance, own = record["covariance"][0], self._record["covariance"][0]
-            variances, axes = np.linalg.eigh(own[MAP_BLOCK, MAP_BLOCK] - covariance[MAP_BLOCK, MAP_BLOCK])
-            covariance[MAP_BLOCK, MAP_BLOCK] += (axes * np.maximum(variances, 0.0)) @ axes.T
-            self._record = None
+    def add_excess_to(self, record: FilterRecord) -> None:
+        """Add the excess of this covariance to the estimator's, as of the same prediction."""
+        block = record["covariance"][0, MAP_BLOCK, MAP_BLOCK]
+        variances, axes = np.linalg.eigh(self.covariance[MAP_BLOCK, MAP_BLOCK] - block)
+        block += (axes * np.maximum(variances, 0.0)) @ axes.T
 
     def correct(self, record: FilterRecord, pose: SE2, measured: Measurement) -> None:
         """Apply a match.
@@ -45,10 +41,8 @@ class ConsistentCovariance:
         record  as of the prediction
         pose    of prediction and scan together
         """
-        if self._record is None:
-            return
         self._record["pose"] = record["pose"]
-        prior = np.linalg.inv(self._record["covariance"][0, LOCAL_BLOCK, LOCAL_BLOCK])
+        prior = np.linalg.inv(self.covariance[LOCAL_BLOCK, LOCAL_BLOCK])
         off = np.array((SE2(*record["pose"][0].tolist()).inverse() @ pose).log())
         weight = min(1.0, (STUDENT + 3.0) / (STUDENT + float(off @ prior @ off)))  # [12]
         take_match(
@@ -59,39 +53,9 @@ class ConsistentCovariance:
             measured.information,
         )
 
-    def widen(self, gap: Matrix) -> None:
-        """Add a covariance (3, 3) to that of the predicted pose; see Measurement.gap."""
-        if self._record is not None:
-            widen_pose(self._record["covariance"][0], gap)
-
-    def add_segment_noise(self, noise: Matrix) -> None:
-        """As Measurement.segment_noise."""
-        if self._record is not None:
-            self._record["covariance"][0, MAP_BLOCK, MAP_BLOCK] += noise
-
-    def settle(self, share: float) -> None:
-        """As MotionModel.settle."""
-        if self._record is not None:
-            transfer_into_map(self._record["covariance"][0], share)
-
-    def pose_covariance(self, record: FilterRecord) -> Matrix:
-        """(3, 3) against the first scan, base axes."""
-        chosen = record if self._record is None else self._record
-        pose_covariance: Matrix = chosen["covariance"][0, MAP_BLOCK, MAP_BLOCK].copy()
-        return pose_covariance
-
     def view(self, record: FilterRecord) -> FilterRecord:
         """The estimator's state with this covariance; read-only."""
-        if self._record is None:
-            return record
-        own = self._record["covariance"].copy()
+        own = self.covariance.copy()
         self._record[:] = record
-        self._record["covariance"] = own
+        self.covariance[:] = own
         return self._record
-
-
-def widen_pose(covariance: Matrix, by: Matrix) -> None:
-    """Add a covariance (3, 3), base axes, to the pose against the first scan and the local map."""
-    for rows in (LOCAL_BLOCK, MAP_BLOCK):
-        for columns in (LOCAL_BLOCK, MAP_BLOCK):
-            covariance[rows, columns] += by

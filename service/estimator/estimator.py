@@ -12,7 +12,7 @@ from pydantic import Field
 
 from drivers.frames import ImuSample, OdometrySample
 from drivers.section import Section
-from service.estimator.consistent_covariance import ConsistentCovariance, widen_pose
+from service.estimator.consistent_covariance import ConsistentCovariance
 from service.estimator.motion import (
     PAUSE_NS,
     Matrix,
@@ -89,7 +89,7 @@ class _Samples:
 
     width: int
     track: Track = field(init=False)
-    dropped: int = 0  # since the last take_dropped, because too many waited
+    dropped: int = 0  # since the last prediction, because too many waited
 
     def __post_init__(self) -> None:
         self.track = Track(
@@ -105,8 +105,6 @@ class _Samples:
     def longest_pause_s(self, since_ns: int, until_ns: int) -> float:
         """Longest time without a sample between two times, s; 0 where it is at most PAUSE_NS."""
         first, end = self.track.span.tolist()
-        if until_ns - since_ns <= PAUSE_NS:
-            return 0.0
         stamps = np.clip(self.track.stamp_ns[first:end], since_ns, until_ns)
         longest_ns = int(np.diff(np.r_[since_ns, stamps, until_ns]).max())
         return longest_ns * 1e-9 if longest_ns > PAUSE_NS else 0.0
@@ -138,11 +136,6 @@ class _Samples:
         if end - first <= DROPPED_TOGETHER or self.track.stamp_ns[first + DROPPED_TOGETHER] >= stamp_ns:
             return
         self.track.span[0] = first + int(self.track.stamp_ns[first:end].searchsorted(stamp_ns)) - 2
-
-    def take_dropped(self) -> int:
-        """Number of samples dropped since the last call because too many waited."""
-        dropped, self.dropped = self.dropped, 0
-        return dropped
 
     def _make_room(self) -> None:
         first, end = self.track.span.tolist()
@@ -180,7 +173,7 @@ class Estimator:
         self._jump_reported_ns = 0  # next warning at the earliest
         self._still = Standstill()
         self._is_unconfirmed_stop = False  # as in Standstill, since the last scan
-        self._consistent = ConsistentCovariance()
+        self._consistent: ConsistentCovariance | None = None  # while only scans measure the motion; [31]
         sigma = np.zeros(STATES)
         sigma[LOCAL_BLOCK] = MIN_SIGMA
         sigma[TWIST : TWIST + 3] = FIRST_TWIST_SIGMA
@@ -190,6 +183,7 @@ class Estimator:
         self.filter: np.void = self._record[0]
         self.filter["settings"] = self._settings
         self.filter["covariance"] = np.diag(sigma**2)
+        self._covariances: list[Matrix] = [self.filter["covariance"]]  # the last one is published
         for noise in ("noise", "gyro_noise", "motion_noise"):
             self.filter[noise] = 1.0
         self._begin_acceleration()
@@ -242,9 +236,11 @@ class Estimator:
             self._begin(stamp_ns)
         else:
             self._elapsed_s = (stamp_ns - int(state["stamp_ns"])) * 1e-9
-            pause_s = self._odometry.longest_pause_s(int(state["stamp_ns"]), stamp_ns)
+            if self._elapsed_s > PAUSE_NS * 1e-9:
+                pause_s = self._odometry.longest_pause_s(int(state["stamp_ns"]), stamp_ns)
             tracks = self._odometry.track, self._gyro.track
-            self._consistent.predict(self._record, *tracks, stamp_ns)
+            if self._consistent is not None:
+                self._consistent.predict(self._record, *tracks, stamp_ns)
             predict_motion(self._record, *tracks, stamp_ns)
             if pause_s > 0.0 and self._odometry.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= SPEED_WINDOW_NS:
                 self._begin_twist(stamp_ns)
@@ -253,13 +249,22 @@ class Estimator:
         self._gyro.drop_before(stamp_ns - KEEP_BEFORE_NS)
         noise, turn_noise = self.filter["noise"].tolist()
         is_measured = bool(state["increment"]["has_odometry"]) and max(noise, turn_noise) <= FAULT_NOISE
-        self._consistent.switch(self._record, scan_alone(is_measured, noise))
+        is_scan_alone = scan_alone(is_measured, noise)
+        if is_scan_alone and self._consistent is None:
+            self._consistent = ConsistentCovariance(self._record)
+            self._covariances.append(self._consistent.covariance)
+        elif not is_scan_alone and self._consistent is not None:
+            self._consistent.add_excess_to(self._record)
+            self._consistent = None
+            self._covariances.pop()
+        samples_dropped = self._odometry.dropped + self._gyro.dropped
+        self._odometry.dropped = self._gyro.dropped = 0
         covariance = state["covariance"]
         pose = SE2(*state["pose"].tolist())
         return Prediction(
             pose_odom_base=pose,
-            twist_base=self._twist(),
-            covariance=self._consistent.pose_covariance(self._record),
+            twist_base=tuple(state["twist"].tolist()),
+            covariance=self._covariances[-1][MAP_BLOCK, MAP_BLOCK].copy(),
             local_covariance=covariance[LOCAL_BLOCK, LOCAL_BLOCK].copy(),
             twist_covariance=covariance[TWIST : TWIST + 3, LOCAL_BLOCK].copy(),
             elapsed_s=self._elapsed_s,
@@ -270,7 +275,7 @@ class Estimator:
             pause_s=pause_s,
             is_unconfirmed_stop=is_unconfirmed_stop and pause_s > 0.0,
             increment=self._increment(),
-            samples_dropped=self._odometry.take_dropped() + self._gyro.take_dropped(),
+            samples_dropped=samples_dropped,
             deskew=self._deskew,
         )
 
@@ -303,33 +308,27 @@ class Estimator:
         if measured is not None and measured.gap is not None:
             state["path"]["span"] = 0  # matched elsewhere: this jump is no motion
             state["odometry_used"]["is_known"] = False
-            widen_pose(state["covariance"], measured.gap)
-            self._consistent.widen(measured.gap)
+            self._widen(measured.gap)
         if measured is not None and measured.segment_noise is not None:
-            state["covariance"][MAP_BLOCK, MAP_BLOCK] += measured.segment_noise
-            self._consistent.add_segment_noise(measured.segment_noise)
+            for covariance in self._covariances:
+                covariance[MAP_BLOCK, MAP_BLOCK] += measured.segment_noise
         if measured is not None and self._elapsed_s > 0.0:
             pose, covariance = measured.pose_odom_base, measured.covariance
             if not measured.is_joined:
                 pose, covariance = self._joined(measured)
-            self._consistent.correct(self._record, pose, measured)
-            take_match(
-                self._record,
-                np.array(pose),
-                covariance,
-                measured.prior_weight,
-                measured.information,
-            )
+            if self._consistent is not None:
+                self._consistent.correct(self._record, pose, measured)
+            weight, information = measured.prior_weight, measured.information
+            take_match(self._record, np.array(pose), covariance, weight, information)
         elif not state["increment"]["has_odometry"]:
             state["twist"] *= math.exp(-self._elapsed_s / FADE_S)
-        return Motion(
-            SE2(*state["pose"].tolist()), self._twist(), self._consistent.pose_covariance(self._record)
-        )
+        published = self._covariances[-1][MAP_BLOCK, MAP_BLOCK].copy()
+        return Motion(SE2(*state["pose"].tolist()), tuple(state["twist"].tolist()), published)
 
     def moved(self, seconds: float) -> Motion:
         pose, twist, covariance = np.empty(3), np.empty(3), np.empty((3, 3))
         tracks = self._odometry.track, self._gyro.track
-        record = self._consistent.view(self._record)
+        record = self._record if self._consistent is None else self._consistent.view(self._record)
         motion_at(record, *tracks, seconds, pose, twist, covariance)
         forward, left, turn = twist.tolist()
         if self._origin_ns == int(self.filter["stamp_ns"]) + round(seconds * 1e9):
@@ -347,8 +346,8 @@ class Estimator:
         return predicted @ step, axes @ covariance @ axes.T
 
     def settle(self, share: float) -> None:
-        transfer_into_map(self.filter["covariance"], share)
-        self._consistent.settle(share)
+        for covariance in self._covariances:
+            transfer_into_map(covariance, share)
 
     def _begin(self, stamp_ns: int) -> None:
         self._elapsed_s = 0.0
@@ -384,10 +383,6 @@ class Estimator:
         covariance[:, rows] = 0.0
         density = np.square([self._settings.acceleration] * 2 + [self._settings.turn_acceleration])
         covariance[rows, rows] = np.diag(density / (2.0 * self._settings.acceleration_s))
-
-    def _twist(self) -> tuple[float, float, float]:
-        forward, left, turn = self.filter["twist"].tolist()
-        return forward, left, turn
 
     def _add_odometry(self, sample: OdometrySample) -> bool:
         own = sample.covariance
@@ -432,8 +427,14 @@ class Estimator:
         state["pose"] = poses.compose(state["pose"], hidden)
         state["path"]["span"] = 0
         state["odometry_used"]["is_known"] = False
-        widen_pose(state["covariance"], gap)
-        self._consistent.widen(gap)
+        self._widen(gap)
+
+    def _widen(self, gap: Matrix) -> None:
+        """Add a covariance (3, 3), base axes, to the pose against the first scan and the local map."""
+        for covariance in self._covariances:
+            for rows in (LOCAL_BLOCK, MAP_BLOCK):
+                for columns in (LOCAL_BLOCK, MAP_BLOCK):
+                    covariance[rows, columns] += gap
 
     def _begin_odometry(self) -> None:
         """Drop odometry's samples: the motion since the last one is unknown."""
