@@ -43,7 +43,7 @@ class ConsistentCovariance:
         """
         self._record["pose"] = record["pose"]
         prior = np.linalg.inv(self.covariance[LOCAL_BLOCK, LOCAL_BLOCK])
-        off = np.array((SE2(*record["pose"][0].tolist()).inverse() @ pose).log())
+        off = np.array(SE2(*record["pose"][0].tolist()).between(pose).log())
         weight = min(1.0, (STUDENT + 3.0) / (STUDENT + float(off @ prior @ off)))  # [12]
         take_match(
             self._record,

@@ -340,7 +340,7 @@ class Estimator:
         predicted = SE2(*self.filter["pose"].tolist())
         prior = measured.prior_weight * np.linalg.inv(self.filter["covariance"][LOCAL_BLOCK, LOCAL_BLOCK])
         covariance = np.asarray(np.linalg.inv(prior + measured.information), np.float64)
-        off = (predicted.inverse() @ measured.pose_odom_base).log()
+        off = predicted.between(measured.pose_odom_base).log()
         step = SE2.exp(*(covariance @ measured.information @ off).tolist())
         axes = poses.adjoint(poses.between(np.array(step), np.zeros(3)))
         return predicted @ step, axes @ covariance @ axes.T

@@ -102,7 +102,7 @@ class Prediction(Motion):
 
     def twist_at(self, pose_odom_base: SE2) -> tuple[float, float, float]:
         """Twist if the base is at this pose: m/s forward, m/s left, rad/s."""
-        off = (self.pose_odom_base.inverse() @ pose_odom_base).log()
+        off = self.pose_odom_base.between(pose_odom_base).log()
         forward, left, turn = (self.twist_base + self.twist_gain @ off).tolist()
         return forward, left, turn
 

@@ -37,6 +37,18 @@ class SE2(NamedTuple):
         c, s = math.cos(theta_rad), math.sin(theta_rad)
         return SE2(-c * x_m - s * y_m, s * x_m - c * y_m, -((math.pi + theta_rad) % math.tau - math.pi))
 
+    def between(self, other: "SE2") -> "SE2":
+        """pose_b_c of a pose_a_b and a pose_a_c: inverse() @ other."""
+        c, s = math.cos(self.theta_rad), math.sin(self.theta_rad)
+        back_rad = -((math.pi + self.theta_rad) % math.tau - math.pi)
+        x_m, y_m = -c * self.x_m - s * self.y_m, s * self.x_m - c * self.y_m
+        c, s = math.cos(back_rad), math.sin(back_rad)
+        return SE2(
+            x_m + c * other.x_m - s * other.y_m,
+            y_m + s * other.x_m + c * other.y_m,
+            -((math.pi - (back_rad + other.theta_rad)) % math.tau - math.pi),
+        )
+
     def is_step_from(self, last: "SE2", distance_m: float, turn_rad: float) -> bool:
         """Whether it lies that far from another pose, or is turned by that much."""
         if math.hypot(self.x_m - last.x_m, self.y_m - last.y_m) >= distance_m:

@@ -108,7 +108,7 @@ def chi2_between(predicted: SE2, pose: SE2, covariance: npt.NDArray[np.float64])
 
     Raises ZeroDivisionError if the covariance is singular.
     """
-    away = predicted.inverse() @ pose
+    away = predicted.between(pose)
     (xx, _, _), (yx, yy, _), (tx, ty, tt) = covariance.tolist()  # written out: np.linalg takes 10 us per call
     y_of_x, t_of_x = yx / xx, tx / xx
     y_left, ty_left = yy - y_of_x * yx, ty - t_of_x * yx
@@ -206,7 +206,9 @@ def judge(evidence: Evidence, limits: JudgementConfig) -> tuple[State, Reason]:
             f"{_on_map(evidence)} (at least {least:.0%}); the pose follows the prediction. {RECOVERY_HINT}"
         )
         return "lost", Reason("off_map", words)
-    is_confirmed = can_contradict and ratio >= limits.lost_ratio and _is_confirmed(evidence)
+    # Enough returns on the map confirm the pose, and the others lie on new ground.
+    is_confirmed = can_contradict and ratio >= limits.lost_ratio and evidence.on_map >= MIN_CONFIRMING
+    is_confirmed = is_confirmed and not is_contradicted(evidence)
     # Along a direction that walls leave open odometry may be uncertain, and its sigma includes that. The scan
     # contradicts nothing there, and a detached segment would be no better localised.
     is_open = not evidence.is_far and evidence.weakest[0] > limits.degraded_sigma_m
@@ -259,11 +261,6 @@ def _on_unknown_ground(evidence: Evidence) -> tuple[State, Reason]:
         "onto it. Keep a part of the map in view"
     )
     return "degraded", Reason("new_ground", words)
-
-
-def _is_confirmed(evidence: Evidence) -> bool:
-    """Whether enough returns on the map confirm the pose, and the others lie on new ground."""
-    return evidence.on_map >= MIN_CONFIRMING and not is_contradicted(evidence)
 
 
 def is_contradicted(evidence: Evidence) -> bool:

@@ -29,7 +29,7 @@ class KnownPose:
 
         Evaluated with every scan: `carried` and `covariance_added` for a single pose.
         """
-        step = self.pose_odom_base.inverse() @ motion.pose_odom_base
+        step = self.pose_odom_base.between(motion.pose_odom_base)
         away = adjoint_back(step)
         variances, axes = np.linalg.eigh(motion.covariance - away @ self.motion_covariance @ away.T)
         added = (axes * np.maximum(variances, 0.0)) @ axes.T

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from service.estimator.motion import Matrix, Motion
 from service.geometry.se2 import SE2
 from service.mapper.components import GraphUpdate, MapChange, Match, Placed, PlaceUpdate, PossiblePlace
-from service.mapper.judgement import UNKNOWN_PLACE, judge_blank, sigmas_of, too_few
+from service.mapper.judgement import UNKNOWN_PLACE, judge_blank, sigmas_of
 from service.mapper.known_pose import KnownPose
 from service.outputs import Reason
 
@@ -24,48 +24,36 @@ class Localisation:
     def __init__(self, placed: Placed) -> None:
         """placed: "unknown" if the session begins in a stored map, to be localised in."""
         self.pose_map_odom = SE2()  # of the newest scan
-        self._place = PlaceUpdate(placed)
+        self.place = PlaceUpdate(placed)
         self._known: KnownPose | None = None  # the newest key frame corrected by the graph
         self._known_here: KnownPose | None = None  # of the newest scan's place
         self._is_on_map = True  # else on a segment whose place in the map is unknown, or not confirmed
         self._placed_ns: int | None = None  # moment of the newest scan with returns; None: it was lost
-
-    @property
-    def is_found(self) -> bool:
-        """Whether the session has a place in the stored map."""
-        return self._place.placed != "unknown"
-
-    @property
-    def is_proven(self) -> bool:
-        """Whether scans may be compared with the stored map."""
-        return self._place.placed == "proven"
-
-    @property
-    def pose_refused(self) -> tuple[float, float, float] | None:
-        """m, m, rad: pose set by the operator that the scans contradict; None: none."""
-        return self._place.pose_refused
 
     def take(self, update: GraphUpdate) -> None:
         """Take the localisation in a result of the graph."""
         if update.known is not None:
             self._known = update.known
         if update.place is not None:
-            self._place = update.place
+            self.place = update.place
 
     def graph_ended(self) -> None:
         """Drop candidate places: the graph has stopped and searches for no segment any more."""
-        self._place = PlaceUpdate(self._place.placed)
+        self.place = PlaceUpdate(self.place.placed)
 
-    def judged(self, match: Match, change: MapChange, pose_map_odom: SE2, at_ns: int, prior: Matrix) -> Match:
+    def judged(
+        self, match: Match, few: Reason, change: MapChange, pose_map_odom: SE2, at_ns: int, prior: Matrix
+    ) -> Match:
         """The match, with the state that its place in the map allows.
 
+        few             by too_few
         change          of the local map: number of the segment that the scan lies in
         pose_map_odom   of the graph
         at_ns           moment of the scan
         prior           (3, 3) covariance of the prediction, base axes
         """
         match = self._on_map(match, change, pose_map_odom)
-        if few := too_few(match.points):  # neither measures nor contradicts
+        if few:  # neither measures nor contradicts
             if self._placed_ns is None:
                 return match
             blank_s = (at_ns - self._placed_ns) * 1e-9
@@ -78,7 +66,7 @@ class Localisation:
         self.pose_map_odom, self._known_here = pose_map_odom, self._known
         if match.measured is not None:
             self._is_on_map = match.state != "lost"
-        unconfirmed = self._place.unconfirmed_place
+        unconfirmed = self.place.unconfirmed_place
         if (
             unconfirmed is not None
             and match.state == "lost"
@@ -87,9 +75,9 @@ class Localisation:
         ):
             self.pose_map_odom, self._known_here = unconfirmed.pose_map_odom, None
             match = match._replace(state="degraded", reason=UNCONFIRMED_PLACE)
-        if not self.is_found:
+        if self.place.placed == "unknown":
             match = match._replace(state="lost", reason=match.reason or NOT_PLACED)
-        elif not self.is_proven and match.state == "ok":
+        elif self.place.placed == "unproven" and match.state == "ok":
             match = match._replace(state="degraded", reason=UNPROVEN)
         if match.state == "lost":
             match = match._replace(reason=self._why_lost(match.reason))
@@ -103,12 +91,13 @@ class Localisation:
 
     def _why_lost(self, reason: Reason) -> Reason:
         """The reason, with the candidate places and the pose that was refused."""
-        if self._place.possible:
-            possible = _in_words(self._place.possible)
-            words = f"{reason}; {possible}" if self.is_found else f"{possible}; drive on, or set the pose"
+        if self.place.possible:
+            possible = _in_words(self.place.possible)
+            is_unknown = self.place.placed == "unknown"
+            words = f"{possible}; drive on, or set the pose" if is_unknown else f"{reason}; {possible}"
             reason = Reason("several_places", words)
-        if self.pose_refused is not None:
-            x_m, y_m, _ = self.pose_refused
+        if self.place.pose_refused is not None:
+            x_m, y_m, _ = self.place.pose_refused
             refused = f"the pose set at ({x_m:.1f}, {y_m:.1f}) m is rejected: no scan matches the map there"
             reason = Reason("pose_refused", f"{refused}; {reason}")
         return reason

@@ -3,6 +3,9 @@
 from collections import Counter
 from typing import Generic
 
+import numpy as np
+import numpy.typing as npt
+
 from drivers.frames import Frame, GnssFix, ImuSample, LaserScan, OdometrySample
 from service.estimator.motion import Motion, Prediction
 from service.geometry.geo_reference import GeoReference
@@ -28,7 +31,7 @@ from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.occupancy import draw_standing
 from service.mapper.saved_graph import KeptGraph, SavedGraph
 from service.mapper.segment_motion import SegmentMotion
-from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, TileUpdate
+from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, Reason, TileUpdate
 
 MAX_BEHIND_NS = 300_000_000  # of a sweep's start before the newest pose: latency and a slow laser
 CHANGES_REPORTED_NS = 5_000_000_000  # between two counts of the changed cells
@@ -91,12 +94,12 @@ class Mapper(Generic[ReadableMap]):
         if not isinstance(frame, LaserScan):
             self._take_sample(frame)
             return None
-        self._checks.begin_laser(frame.sensor)
         at_ns = self._moment_of(frame)
         if at_ns is None:
             self.counters["scans_dropped_late"] += 1
             return None
-        if self._checks.waits_for_odometry(at_ns, self._last_ns):
+        if self._checks.odometry_wait.waits(at_ns, self._last_ns):
+            self.counters["scans_before_odometry"] += 1
             return None
         self._scan_ns[frame.sensor], self._last_ns = frame.stamp_ns, at_ns
         self.counters["scans"] += 1
@@ -153,8 +156,8 @@ class Mapper(Generic[ReadableMap]):
 
     @property
     def pose_refused(self) -> tuple[float, float, float] | None:
-        """As Localisation.pose_refused."""
-        return self._localisation.pose_refused
+        """m, m, rad: pose set by the operator that the scans contradict; None: none."""
+        return self._localisation.place.pose_refused
 
     @property
     def graph(self) -> Graph:
@@ -217,36 +220,39 @@ class Mapper(Generic[ReadableMap]):
         if refused := self._checks.refuse(scan, at_ns, travel_m):
             return self._output(scan, at_ns, s.motion_model.correct(None), refused, 0.0)
         # base frame, one instant; keeps each beam's time
-        points = s.deskew(scan, predicted, at_ns, self._checks.mounting_offset(scan.sensor))
+        points = s.deskew(scan, predicted, at_ns, self._checks.lasers[scan.sensor].mounting.applied)
         watch.lap("deskew")
         prior = self._checks.comparison_prior(scan.sensor, at_ns, predicted)
         if prior is not None:
             return self._compared(points, at_ns, prior)
         predicted, segment_s = self._segment_motion.predicted(at_ns, predicted)
-        is_unmeasured = is_motion_unmeasured(predicted) or segment_s > 0.0
+        is_paused = is_motion_unmeasured(predicted)
+        is_unmeasured = is_paused or segment_s > 0.0
         if is_unmeasured and s.graph.finds_segments and isinstance(s.local_map, Detachable):
             s.local_map.detach(max(predicted.pause_s, segment_s))
         match = s.matcher.match(points, predicted, s.local_map)  # pose against the map
-        if not too_few(points):
+        few = too_few(points)
+        if not few:
             self._unmatched = None
-        reason = of_laser(scan.sensor, match.reason)
-        self._checks.refine_mounting(predicted, match)
+        reason = match.reason and of_laser(scan.sensor, match.reason)
         match = match._replace(motion=s.motion_model.correct(match.measured), reason=reason)
         watch.lap("match")
-        checked = self._checks.judge(match, at_ns, s.motion_model.fault)
+        checked = self._checks.judge(match, few, predicted, at_ns, s.motion_model.fault)
         if isinstance(checked, Verdict):
             return self._output(scan, at_ns, match.motion, checked, match.inlier_ratio)
-        self._segment_motion.matched(at_ns, predicted, checked.state != "lost")
-        match = self._insert(checked, at_ns, predicted, is_unmeasured)
+        self._segment_motion.matched(at_ns, predicted, is_paused, checked.state != "lost")
+        match = self._insert(checked, few, at_ns, predicted, is_unmeasured)
         watch.lap("insert")
         self._state = Verdict(match.state, match.reason)
         return self._output(scan, at_ns, match.motion, self._state, match.inlier_ratio)
 
-    def _insert(self, match: Match, at_ns: int, predicted: Prediction, is_unmeasured: bool) -> Match:
+    def _insert(
+        self, match: Match, few: Reason, at_ns: int, predicted: Prediction, is_unmeasured: bool
+    ) -> Match:
         """Insert a match into local map, graph and shown map; sets its state by its place in the map."""
         s = self.components
         change = s.local_map.insert(match.points, match)
-        static = _static_points(match)
+        static = match.points if match.is_moving is None else _static_points(match.points, ~match.is_moving)
         self.counters["keyframes"] += change.is_keyframe
         if change.is_keyframe:
             s.motion_model.settle(change.error_left)
@@ -256,11 +262,12 @@ class Mapper(Generic[ReadableMap]):
         pose_map_odom = s.graph.add(
             MappedScan(at_ns, static, match, change, covariance, elapsed_s, is_unmeasured)
         )
-        is_shown = match.state != "lost" and self._localisation.is_found and not self.is_localizing
-        match = self._localisation.judged(match, change, pose_map_odom, at_ns, prior)
+        placed = self._localisation.place.placed
+        is_shown = match.state != "lost" and placed != "unknown" and not self.is_localizing
+        match = self._localisation.judged(match, few, change, pose_map_odom, at_ns, prior)
         if is_shown:  # not while the place in the map is unknown
             s.free_space.insert(static, pose_map_odom @ match.motion.pose_odom_base)
-        if match.state == "ok" and self._localisation.is_proven and self._changes is not None:
+        if match.state == "ok" and placed == "proven" and self._changes is not None:
             self._changes.add(static, pose_map_odom @ match.motion.pose_odom_base, at_ns)
             self._report_changes(self._changes, at_ns)
         return match
@@ -311,9 +318,5 @@ class Mapper(Generic[ReadableMap]):
         return self._newest
 
 
-def _static_points(match: Match) -> Points:
-    """The points without those of moving objects."""
-    if match.is_moving is None:
-        return match.points
-    kept = {name: getattr(match.points, name)[~match.is_moving] for name in POINT_ARRAYS}
-    return match.points._replace(**kept)
+def _static_points(points: Points, is_static: npt.NDArray[np.bool_]) -> Points:
+    return points._replace(**{name: getattr(points, name)[is_static] for name in POINT_ARRAYS})

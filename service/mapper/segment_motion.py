@@ -7,7 +7,7 @@ import numpy as np
 
 from service.estimator.motion import Prediction
 from service.geometry.se2 import SE2
-from service.mapper.judgement import MAX_SIGMA_M, UNKNOWN_PLACE, is_motion_unmeasured
+from service.mapper.judgement import MAX_SIGMA_M, UNKNOWN_PLACE
 
 
 class SegmentMotion:
@@ -37,16 +37,18 @@ class SegmentMotion:
         began_ns, first = self._began
         elapsed_s = (at_ns - began_ns) * 1e-9
         constant_velocity = first.pose_odom_base @ SE2.exp(*(elapsed_s * speed for speed in first.twist_base))
-        off = constant_velocity.inverse() @ predicted.pose_odom_base
+        off = constant_velocity.between(predicted.pose_odom_base)
         off_m = math.hypot(off.x_m, off.y_m)
         if off_m <= MAX_SIGMA_M:
             return replace(predicted, segment_covariance=np.diag([off_m**2, off_m**2, 0.0])), 0.0
         self._is_unmeasured = True
         return replace(predicted, segment_covariance=UNKNOWN_PLACE), elapsed_s
 
-    def matched(self, at_ns: int, predicted: Prediction, is_on_map: bool) -> None:
-        """Take whether the scan of a prediction lay on the map, and not at most on a segment."""
-        is_paused = is_motion_unmeasured(predicted)
+    def matched(self, at_ns: int, predicted: Prediction, is_paused: bool, is_on_map: bool) -> None:
+        """Take whether the scan of a prediction lay on the map, and not at most on a segment.
+
+        is_paused   by is_motion_unmeasured
+        """
         if is_on_map or is_paused:
             self._began, self._is_unmeasured, self._is_paused = None, False, is_paused
         elif self._began is None and not self._is_paused:

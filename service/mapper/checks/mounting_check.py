@@ -173,7 +173,7 @@ def _scan_alone(measured: Measurement, predicted: Prediction, added: Matrix) -> 
     e is the offset of the scan alone from the prediction. The joint pose is C I e from it, with its
     covariance C; so no direction needs to be known.
     """
-    off = (predicted.pose_odom_base.inverse() @ measured.pose_odom_base).log()
+    off = predicted.pose_odom_base.between(measured.pose_odom_base).log()
     kept = np.linalg.inv(np.eye(3) + measured.information @ added)
     joint = np.linalg.inv(measured.covariance) if measured.is_joined else measured.information
     return kept @ measured.information, kept @ joint @ off

@@ -90,7 +90,7 @@ class OdometryMounting:
         self._last = None if odometry is None else (stamp_ns, pose_odom_base, odometry)
         if last is None or odometry is None:
             return
-        matched, driven = last[1].inverse() @ pose_odom_base, last[2].inverse() @ odometry
+        matched, driven = last[1].between(pose_odom_base), last[2].between(odometry)
         self._steps = np.vstack((self._steps[1 - STEPS :], (*matched, *driven)))
         self._count += 1
         has_changed = self._count % NEW_STEPS == 0 and self._forget_another_mounting()

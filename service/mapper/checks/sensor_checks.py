@@ -6,14 +6,14 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.frames import LaserScan, OdometrySample
-from service.estimator.motion import PAUSE_NS, Prediction
+from service.estimator.motion import PAUSE_NS, Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.kernels.tracks import SPEED_WINDOW_NS
 from service.mapper.checks.mounting_check import MountingCheck, centre
 from service.mapper.checks.odometry_mounting import OdometryMounting
 from service.mapper.checks.stamp_check import StampChecks
 from service.mapper.components import Match
-from service.mapper.judgement import GAP_S, too_few
+from service.mapper.judgement import GAP_S
 from service.outputs import Reason, State
 
 CONFIRMED_NS = 500_000_000  # for which an inlier scan confirms the pose
@@ -64,8 +64,9 @@ class OdometryWait:
     def waits(self, stamp_ns: int, last_ns: int | None) -> bool:
         """Whether a scan is to be dropped. last_ns: of the previous scan; None: there was none."""
         if (
-            self._newest_ns is None
-            or last_ns is None
+            last_ns is None
+            or stamp_ns - last_ns <= GAP_S * 1e9
+            or self._newest_ns is None
             or self._is_measured(stamp_ns, last_ns, self._newest_ns)
         ):
             self._began_ns = None
@@ -75,8 +76,6 @@ class OdometryWait:
         return stamp_ns - self._began_ns <= PAUSE_NS
 
     def _is_measured(self, stamp_ns: int, last_ns: int, newest_ns: int) -> bool:
-        if stamp_ns - last_ns <= GAP_S * 1e9:
-            return True
         if self._since_ns <= last_ns:  # no pause of odometry has ended since the previous scan
             return stamp_ns - newest_ns <= GAP_S * 1e9
         return min(stamp_ns, newest_ns) - self._since_ns >= SPEED_WINDOW_NS
@@ -97,6 +96,17 @@ class _Laser:
         self.travel_m = 0.0  # of the vehicle, up to its newest scan
 
 
+class _Lasers(dict[str, _Laser]):
+    """By name. One that joins others is compared with their map first."""
+
+    def __missing__(self, sensor: str) -> _Laser:
+        laser = _Laser()
+        if self:
+            laser.mounting.begin()
+        self[sensor] = laser
+        return laser
+
+
 class SensorChecks:
     """All checks of lasers and odometry against each other. Calls come in the order of scans.
 
@@ -105,35 +115,20 @@ class SensorChecks:
 
     def __init__(self, counters: Counter[str]) -> None:
         self._counters = counters
-        self._lasers: dict[str, _Laser] = {}
-        self._odometry_wait = OdometryWait()
+        self.lasers = _Lasers()
+        self.odometry_wait = OdometryWait()
         self._odometry_mounting = OdometryMounting()
         self._stamps = StampChecks()
         self._travel_m = 0.0  # as predicted, from scan to scan
         self._matched = ""  # laser of the newest scan that was matched
 
     def add_odometry(self, sample: OdometrySample) -> None:
-        self._odometry_wait.add(sample.stamp_ns)
+        self.odometry_wait.add(sample.stamp_ns)
         self._odometry_mounting.add_odometry(sample)
-
-    def begin_laser(self, sensor: str) -> None:
-        """Register a laser at its first scan; beside others it is compared with their map first."""
-        if sensor in self._lasers:
-            return
-        self._lasers[sensor] = _Laser()
-        if len(self._lasers) > 1:
-            self._lasers[sensor].mounting.begin()
-
-    def waits_for_odometry(self, at_ns: int, last_ns: int | None) -> bool:
-        """As OdometryWait.waits; counted."""
-        if not self._odometry_wait.waits(at_ns, last_ns):
-            return False
-        self._counters["scans_before_odometry"] += 1
-        return True
 
     def refuse(self, scan: LaserScan, at_ns: int, travel_m: float) -> Verdict | None:
         """Reason not to match a scan; None: it is matched. travel_m: m since the previous scan, predicted."""
-        laser = self._lasers[scan.sensor]
+        laser = self.lasers[scan.sensor]
         self._travel_m += travel_m
         moved_m, laser.travel_m = self._travel_m - laser.travel_m, self._travel_m
         if not laser.repeats.is_repeated(scan, moved_m):
@@ -145,29 +140,22 @@ class SensorChecks:
         )
         return Verdict("degraded" if self._confirmed_by_another(scan.sensor, at_ns) else "lost", reason)
 
-    def mounting_offset(self, sensor: str) -> SE2:
-        """As MountingCheck.applied."""
-        return self._lasers[sensor].mounting.applied
-
-    def refine_mounting(self, predicted: Prediction, match: Match) -> None:
+    def _refine_mounting(self, sensor: str, predicted: Prediction, measured: Measurement) -> None:
         """Correct the mounting of a laser by a scan that was matched right after one of another laser."""
-        measured, sensor = match.measured, match.points.scan.sensor
-        if measured is None:
+        if measured.gap is not None or measured.segment_noise is not None:  # a jump
             return
-        before, self._matched = self._matched, sensor
-        is_jump = measured.gap is not None or measured.segment_noise is not None
-        if before in ("", sensor) or is_jump:
-            return
-        if self._lasers[sensor].mounting.refine(predicted, measured):
+        if self.lasers[sensor].mounting.refine(predicted, measured):
             self._counters[f"mounting_corrected_{sensor}"] += 1
-            centre(laser.mounting for laser in self._lasers.values())
+            centre(laser.mounting for laser in self.lasers.values())
 
     def comparison_prior(self, sensor: str, at_ns: int, predicted: Prediction) -> Prediction | None:
         """Where to search a scan of a laser whose mounting or stamps are in doubt; None: it is mapped.
 
         Such a scan has no effect on pose and map.
         """
-        mounting = self._lasers[sensor].mounting
+        if len(self.lasers) == 1:
+            return None
+        mounting = self.lasers[sensor].mounting
         is_in_doubt = not mounting.is_right or self._stamps.fault_of(sensor)
         if not mounting.fault and not (is_in_doubt and self._confirmed_by_another(sensor, at_ns)):
             return None
@@ -177,7 +165,7 @@ class SensorChecks:
     def compare(self, match: Match, at_ns: int, prior: Prediction, usual: Verdict) -> Verdict:
         """Verdict on a scan matched from `comparison_prior`. usual: of the newest mapped scan."""
         sensor = match.points.scan.sensor
-        mounting = self._lasers[sensor].mounting
+        mounting = self.lasers[sensor].mounting
         if match.measured is not None and match.state != "lost":
             self._add_heading(sensor, at_ns, match.measured.pose_odom_base)
             if not mounting.is_right:
@@ -190,13 +178,19 @@ class SensorChecks:
             return usual
         return Verdict("lost" if is_alone else "degraded", fault.reworded(f"{sensor} {fault}"))
 
-    def judge(self, match: Match, at_ns: int, motion_fault: Reason) -> Match | Verdict:
+    def judge(
+        self, match: Match, few: Reason, predicted: Prediction, at_ns: int, motion_fault: Reason
+    ) -> Match | Verdict:
         """The match with the state that the sensors allow; or the reason why it is not mapped.
 
+        few             by too_few
         motion_fault    of a motion source, by the motion model
         """
-        sensor = match.points.scan.sensor
-        few = too_few(match.points)
+        sensor, measured = match.points.scan.sensor, match.measured
+        if measured is not None:
+            before, self._matched = self._matched, sensor
+            if before not in ("", sensor):
+                self._refine_mounting(sensor, predicted, measured)
         if few:
             self._counters[f"scans_blind_{sensor}"] += 1
         if match.state == "lost":
@@ -205,18 +199,21 @@ class SensorChecks:
             if other := self._confirmed_by_another(sensor, at_ns):
                 return self._contradicted(match, other, few)
         if not few:  # else it is no evidence for or against the pose
-            self._lasers[sensor].confirmed_ns = at_ns if match.state != "lost" else None
+            self.lasers[sensor].confirmed_ns = at_ns if match.state != "lost" else None
         if match.state != "ok":
             return match
-        pose = match.motion.pose_odom_base if match.measured is None else match.measured.pose_odom_base
-        self._add_heading(sensor, at_ns, pose)
+        if len(self.lasers) > 1:
+            pose = match.motion.pose_odom_base if measured is None else measured.pose_odom_base
+            self._add_heading(sensor, at_ns, pose)
+        elif self._stamps.first is None:
+            self._stamps.first = sensor
         self._odometry_mounting.add_pose(at_ns, match.motion.pose_odom_base)
         fault = self._odometry_mounting.fault or motion_fault
         return match._replace(state="degraded", reason=fault) if fault else match
 
     def _add_heading(self, sensor: str, at_ns: int, pose: SE2) -> None:
         """Add the heading by the configured mounting: a refined one follows late stamps in turns."""
-        turned = pose @ self._lasers[sensor].mounting.applied
+        turned = pose @ self.lasers[sensor].mounting.applied
         self._stamps.add(sensor, at_ns, turned.theta_rad)
 
     def _contradicted(self, match: Match, other: str, few: Reason) -> Verdict:
@@ -240,7 +237,7 @@ class SensorChecks:
         """Another laser whose scans confirmed the pose recently; "" where there is none."""
         confirming = [
             name
-            for name, laser in self._lasers.items()
+            for name, laser in self.lasers.items()
             if name != sensor
             and laser.confirmed_ns is not None
             and at_ns - laser.confirmed_ns <= CONFIRMED_NS

@@ -91,14 +91,14 @@ class StampChecks:
     """Checks of all lasers against the one that began the map."""
 
     def __init__(self) -> None:
-        self._first: str | None = None
+        self.first: str | None = None
         self._checks: dict[str, StampCheck] = {}
 
     def add(self, sensor: str, stamp_ns: int, heading_rad: float) -> None:
         """Add the heading of a matched scan at the time of its deskewed points; by rising stamps."""
-        if self._first is None:
-            self._first = sensor
-        if sensor != self._first:
+        if self.first is None:
+            self.first = sensor
+        if sensor != self.first:
             self._checks.setdefault(sensor, StampCheck()).add(stamp_ns, heading_rad)
             return
         for check in self._checks.values():
@@ -122,7 +122,7 @@ class StampChecks:
         is_late = "late" if check.late_s > 0.0 else "early"
         return Reason(
             "laser_stamps",
-            f"has stamps that are {abs(check.late_s) * 1e3:.0f} ms {is_late} against those of {self._first} "
+            f"has stamps that are {abs(check.late_s) * 1e3:.0f} ms {is_late} against those of {self.first} "
             f"(sigma {check.sigma_s * 1e3:.1f}), by the turns that both saw; it is not mapped beside that. "
             "Correct latency_ms of the one that is wrong (corridor calibrate measures it), or its clock",
         )

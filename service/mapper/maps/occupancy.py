@@ -284,9 +284,10 @@ class OccupancyTiles:
         return self._canvas.pool.used_count
 
     def insert(self, points: Points, pose_map_base: SE2) -> None:
-        self._canvas.render_again(
-            [self._to_render.popleft() for _ in range(min(RENDERED_AT_ONCE, len(self._to_render)))]
-        )
+        if self._to_render:
+            self._canvas.render_again(
+                [self._to_render.popleft() for _ in range(min(RENDERED_AT_ONCE, len(self._to_render)))]
+            )
         stamp_ns = points.scan.stamp_ns
         if len(points.xy_base) == 0 or not self._is_due(pose_map_base, stamp_ns):
             return

@@ -69,7 +69,7 @@ class Confirmation:
         last, self._pose_map_odom = self._pose_map_odom, found @ predicted.inverse()
         if last is None:
             return False
-        away = found.inverse() @ last @ predicted
+        away = found.between(last) @ predicted
         return math.hypot(away.x_m, away.y_m) < SAME_RESULT_M and abs(away.theta_rad) < SAME_RESULT_RAD
 
 

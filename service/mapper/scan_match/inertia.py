@@ -44,7 +44,7 @@ class SteadyMotion:
         if step_ns < MIN_STEP_NS or ahead_ns <= 0 or max(step_ns, ahead_ns) > PAUSE_NS:
             return None
         steps = ahead_ns / step_ns
-        forward_m, left_m, turn_rad = (before.inverse() @ last).log()
+        forward_m, left_m, turn_rad = before.between(last).log()
         return last @ SE2.exp(steps * forward_m, steps * left_m, steps * turn_rad)
 
 

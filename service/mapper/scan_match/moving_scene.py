@@ -298,7 +298,7 @@ class MovingScene:
         On unknown ground moving objects are not recognised by free space.
         """
         entire = self._align(attempt, attempt.prior.pose, static.submap, False)
-        self._drift = self._drift @ (static.pose.inverse() @ entire.pose)
+        self._drift = self._drift @ static.pose.between(entire.pose)
         predicted = attempt.predicted
         step = predicted.increment or by_speed(predicted)
         excess = 1.0 - 1.0 / max(predicted.odometry_noise, 1.0)

@@ -49,6 +49,7 @@ class Reckoning:
     def __init__(self) -> None:
         self._steps: deque[_Step] = deque()
         self._silent_s = math.inf  # since odometry measured a step
+        self.is_silent = True  # odometry does not measure the motion
 
     def restart(self, stamp_ns: int, matched: SE2) -> None:
         """Start the comparison here."""
@@ -58,14 +59,10 @@ class Reckoning:
     def clear(self) -> None:
         self._steps.clear()
 
-    @property
-    def is_silent(self) -> bool:
-        """Whether odometry does not measure the motion."""
-        return self._silent_s > MAX_SILENT_S
-
     def add(self, stamp_ns: int, predicted: Prediction, matched: SE2) -> Conflict | None:
         """Add a scan and its matched pose; returns the conflict where the two paths disagree."""
         self._silent_s = self._silent_s + predicted.elapsed_s if predicted.increment is None else 0.0
+        self.is_silent = self._silent_s > MAX_SILENT_S
         if self.is_silent or not self._steps:
             self.restart(stamp_ns, matched)
             return None
@@ -120,8 +117,7 @@ def _covariance_between(begin: _Step, end: _Step) -> Matrix:
 
 
 def _conflict(begin: _Step, end: _Step) -> Conflict | None:
-    reckoned = begin.reckoned.inverse() @ end.reckoned
-    matched = begin.matched.inverse() @ end.matched
+    reckoned, matched = begin.reckoned.between(end.reckoned), begin.matched.between(end.matched)
     off_m2 = (matched.x_m - reckoned.x_m) ** 2 + (matched.y_m - reckoned.y_m) ** 2
     travel_m = end.travel_m - begin.travel_m
     turn_rad2 = end.variance_rad2 - begin.variance_rad2 + MATCH_SIGMA_RAD**2

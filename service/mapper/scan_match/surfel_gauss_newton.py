@@ -473,7 +473,7 @@ def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
     """
     pose = predicted.pose_odom_base
     if gap is not None:
-        carry = adjoint_back(gap.pose.inverse() @ pose)
+        carry = adjoint_back(gap.pose.between(pose))
         added = carry @ gap.covariance @ carry.T
         if predicted.segment_covariance is not None:
             added += predicted.segment_covariance

@@ -121,7 +121,7 @@ def wheel_track(samples: Sequence[OdometrySample]) -> WheelTrack | None:
     if len(rising) < 2:
         return None
     poses = [SE2(sample.x_m, sample.y_m, sample.theta_rad) for sample in rising]
-    steps = [(a.inverse() @ b).log() for a, b in pairwise(poses)]
+    steps = [a.between(b).log() for a, b in pairwise(poses)]
     return WheelTrack(rising[0].sensor, _stamps(rising), np.array(steps), _latency_ms(rising))
 
 

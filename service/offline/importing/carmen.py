@@ -135,7 +135,7 @@ def _is_rigid(scans: Sequence[LoggedScan]) -> bool:
 
 def _laser_poses(scans: Sequence[LoggedScan], sensor: str) -> list[SE2]:
     """Poses of that laser on the robot, scan by scan."""
-    return [s.pose_robot.inverse() @ s.pose_laser for s in scans if s.frame.sensor == sensor]
+    return [s.pose_robot.between(s.pose_laser) for s in scans if s.frame.sensor == sensor]
 
 
 def _median(poses: Sequence[SE2]) -> SE2:
@@ -203,7 +203,7 @@ def _chained(logged: Sequence[LoggedOdometry]) -> list[LoggedOdometry]:
     chain, last, result = SE2(), SE2(), []
     for sample in logged:
         if sample.stamp_ns:
-            chain = chain @ (last.inverse() @ sample.pose)
+            chain = chain @ last.between(sample.pose)
             result.append(LoggedOdometry(sample.stamp_ns, chain, sample.tv_mps, sample.rv_radps))
         last = sample.pose
     return result
@@ -218,7 +218,7 @@ def _samples(logged: Sequence[LoggedOdometry]) -> list[OdometrySample]:
         twist = (sample.tv_mps, 0.0, sample.rv_radps)
         if not has_twist and last is not None and sample.stamp_ns > last.stamp_ns:
             dt_s = (sample.stamp_ns - last.stamp_ns) / 1e9
-            forward_m, left_m, turn_rad = (last.pose.inverse() @ sample.pose).log()
+            forward_m, left_m, turn_rad = last.pose.between(sample.pose).log()
             twist = (forward_m / dt_s, left_m / dt_s, turn_rad / dt_s)
         samples.append(
             OdometrySample(

@@ -16,7 +16,7 @@ from service.mapper.components import (
 )
 from service.mapper.judgement import UNKNOWN_PLACE
 from service.mapper.localisation import NOT_PLACED, UNCONFIRMED_PLACE, UNPROVEN, Localisation
-from service.outputs import State
+from service.outputs import NO_REASON, State
 
 SCAN = LaserScan("front", 1, 1, 0, 1, 0.0, 0.1, 0.1, 20.0, np.zeros(0, np.float32), NO_INTENSITY)
 POINTS = Points(np.zeros((9, 2)), np.zeros((9, 2)), np.zeros(9), np.zeros(9, np.int32), SE2(), SCAN)
@@ -38,6 +38,7 @@ def judged(
     place.take(GraphUpdate({}, place=news))
     match = place.judged(
         Match(MOTION, POINTS, 0.9, state, reason, measured=measured),
+        NO_REASON,
         MapChange(segment=segment),
         OF_GRAPH,
         1,
@@ -90,7 +91,7 @@ def test_the_place_by_the_graph_stays_until_its_next_result_or_its_end():
     place, *_ = judged(FOUND, "lost")
     lost = Match(MOTION, POINTS, 0.9, "lost", "why", measured=MEASURED)
     place.take(GraphUpdate({"loop_closures": 1}))
-    assert place.judged(lost, MapChange(segment=2), OF_GRAPH, 1, PRIOR).state == "degraded"
+    assert place.judged(lost, NO_REASON, MapChange(segment=2), OF_GRAPH, 1, PRIOR).state == "degraded"
     place.graph_ended()
-    assert place.judged(lost, MapChange(segment=2), OF_GRAPH, 1, PRIOR).state == "lost"
+    assert place.judged(lost, NO_REASON, MapChange(segment=2), OF_GRAPH, 1, PRIOR).state == "lost"
     assert place.pose_map_odom == OF_GRAPH

@@ -32,7 +32,7 @@ def on_segment(
         predicted, unmeasured_s = motion.predicted(
             k * STEP_NS, prediction(k * STEP_S * speed_mps, increment if k else None)
         )
-        motion.matched(k * STEP_NS, predicted, is_on_map=False)
+        motion.matched(k * STEP_NS, predicted, is_paused=False, is_on_map=False)
         seen.append((predicted, unmeasured_s))
     return seen
 
@@ -61,16 +61,16 @@ def test_a_scan_on_the_map_ends_the_comparison() -> None:
     motion = SegmentMotion()
     for k, is_on_map in ((0, False), (1, True), (50, False)):
         predicted, unmeasured_s = motion.predicted(k * STEP_NS, prediction(0.0))
-        motion.matched(k * STEP_NS, predicted, is_on_map)
+        motion.matched(k * STEP_NS, predicted, False, is_on_map)
         assert unmeasured_s == 0.0
 
 
 def test_after_a_pause_of_all_sensors_the_segment_is_not_begun_once_more() -> None:
     motion = SegmentMotion()
     paused = replace(prediction(0.0), pause_s=MAX_UNMEASURED_S + 1.0)
-    motion.matched(0, paused, is_on_map=False)
+    motion.matched(0, paused, is_paused=True, is_on_map=False)
     for k in range(1, 50):
         predicted, unmeasured_s = motion.predicted(k * STEP_NS, prediction(0.0))
-        motion.matched(k * STEP_NS, predicted, is_on_map=False)
+        motion.matched(k * STEP_NS, predicted, is_paused=False, is_on_map=False)
         assert unmeasured_s == 0.0
         assert predicted.segment_covariance is None

@@ -83,7 +83,8 @@ class FixTrack:
         self._scans.append(_Scan(stamp_ns, pose_odom_base, keyframe))
         while stamp_ns - self._scans[0].stamp_ns > REMEMBERED_NS and len(self._scans) > 2:
             self._scans.popleft()
-        self._place_waiting()
+        if self._waiting:
+            self._place_waiting()
 
     def take(self) -> list[PlacedFix]:
         """Fixes with poses since the last call, by ascending stamps."""
@@ -159,7 +160,7 @@ def _between(a: _Scan, b: _Scan, stamp_ns: int) -> SE2:
     if a.stamp_ns == b.stamp_ns:
         return a.pose_odom_base
     share = (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
-    forward_m, left_m, turn_rad = (a.pose_odom_base.inverse() @ b.pose_odom_base).log()
+    forward_m, left_m, turn_rad = a.pose_odom_base.between(b.pose_odom_base).log()
     return a.pose_odom_base @ SE2.exp(share * forward_m, share * left_m, share * turn_rad)
 
 

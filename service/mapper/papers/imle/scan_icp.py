@@ -55,7 +55,7 @@ class ScanIcp:
         if self._last is None:
             return None
         older, pose = self._last
-        guess = pose.inverse() @ predicted.pose_odom_base
+        guess = pose.between(predicted.pose_odom_base)
         config = self._config
         stride = max(1, round(len(points.xy_base) / config.points))
         newer = np.ascontiguousarray(points.xy_base[::stride])

@@ -78,7 +78,7 @@ class BruteSearch:
             point_information = information_of_dots(points, values, weights, segment, pose)
             least = np.diag(1.0 / np.square([window_m, window_m, window_rad]))
             covariance = self._covariance(point_information, least, theta_rad)
-        matched = local_map.pose_axes_odom.inverse() @ aligned
+        matched = local_map.pose_axes_odom.between(aligned)
         information = inverse(covariance if is_found else sure)
         return Aligned(Measurement(matched, covariance, information, is_joined=False), points)
 
@@ -88,7 +88,7 @@ class BruteSearch:
         layers = local_map.search_layers()
         layer = next((layer for layer in layers if layer.cell_m >= RECOVERY_CELL_M), layers[-1])
         found = search_around(points.xy_base, local_map.pose_axes_odom @ pose, reach, layer, step_of(reach))
-        return None if found is None else local_map.pose_axes_odom.inverse() @ found
+        return None if found is None else local_map.pose_axes_odom.between(found)
 
     def _search(
         self, xy_base: Array, pose: Array, local_map: OrthogonalMap, window_m: float, window_rad: float

@@ -82,7 +82,7 @@ class FilterPair:
 
     def _compare(self, predicted: SE2, dots: ErrorStateFilter) -> None:
         """Drop the filter of the points where the two contradict, unless odometry has the wrong sign."""
-        path, by_dots = self._counted[0].inverse() @ predicted, self._counted[1].inverse() @ dots.pose
+        path, by_dots = self._counted[0].between(predicted), self._counted[1].between(dots.pose)
         backwards_m = self._backwards_m + _backwards_m(path, by_dots)
         if math.hypot(path.x_m, path.y_m) >= STEP_M:
             self._backwards_m = backwards_m

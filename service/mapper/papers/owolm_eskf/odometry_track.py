@@ -72,7 +72,7 @@ class OdometryTrack:
         elapsed_s = (stamps[last] - stamps[first]) * 1e-9
         if elapsed_s < MIN_SPEED_S:
             return None
-        forward, left, turn = (self._poses[first].inverse() @ self._poses[last]).log()
+        forward, left, turn = self._poses[first].between(self._poses[last]).log()
         return forward / elapsed_s, left / elapsed_s, turn / elapsed_s
 
     def _drop_between(self) -> None:
@@ -88,7 +88,7 @@ class OdometryTrack:
         if 0 < i < len(self._stamps):
             earlier, later = self._stamps[i - 1], self._stamps[i]
             share = (stamp_ns - earlier) / (later - earlier)
-            forward, left, turn = (self._poses[i - 1].inverse() @ self._poses[i]).log()
+            forward, left, turn = self._poses[i - 1].between(self._poses[i]).log()
             return self._poses[i - 1] @ SE2.exp(share * forward, share * left, share * turn)
         end = 0 if i == 0 else -1
         twist = self.twist_at(self._stamps[end]) or (0.0, 0.0, 0.0)

@@ -88,7 +88,7 @@ class ParticleFilter:
             local_map.log_weights[:] = 0.0
             step = SE2()
         else:
-            step = self._last.inverse() @ predicted.pose_odom_base
+            step = self._last.between(predicted.pose_odom_base)
         self.move_particles(step, predicted.local_covariance, local_map)
         self._align_or_search(points, predicted, local_map)
         normalise_weights(local_map.log_weights, local_map.weights)
