@@ -22,6 +22,7 @@ Matrix = npt.NDArray[np.float64]
 class Attempt(NamedTuple):
     """A scan to be aligned with a map, with its predicted pose there."""
 
+    stamp_ns: int  # of the scan
     points: Points  # shifted along their walls, [24]
     unmoved: Points  # as measured
     normals: Matrix  # (N, 3) from estimate_normals
@@ -31,15 +32,12 @@ class Attempt(NamedTuple):
     usual_ratio: float  # recent inlier ratio of this laser's scans
     since_fix: tuple[float, float]  # time, s, and path, m, since a scan fixed the position
 
-    @property
-    def stamp_ns(self) -> int:
-        return self.points.scan.stamp_ns
-
 
 class Aligned(NamedTuple):
     """The result on one sub-map."""
 
     result: MatchResult
+    pose: SE2
     xy_base: Matrix  # (N, 2) m, deskewed with the estimated twist
     submap: Submap
     state: State
@@ -65,10 +63,6 @@ class Aligned(NamedTuple):
         """Share of the returns on the map, less that in its free space or behind its walls."""
         evidence = self.evidence
         return evidence.inlier_ratio - (evidence.in_free + (evidence.behind or 0.0)) / max(evidence.used, 1)
-
-    @property
-    def pose(self) -> SE2:
-        return SE2(*self.result.pose.tolist())
 
 
 def turned_about(sensor_base: SE2, predicted: Prediction) -> Prediction:

@@ -285,9 +285,10 @@ class SurfelSubmaps:
         self._narrow_pool = narrow_wall_pool(SUBMAP_POOL_TILES)
         self._next_number = 0
         self._pair: list[Submap] = []
-        self._detached: Submap | None = None
+        self.detached: Submap | None = None  # the segment that is not joined to the map
         self._segment = self._joined_segment = 0  # number of the newest segment; of that in use
-        self._pause_s = 0.0  # without measured motion before the segment; 0: it was measured
+        # Without measured motion before the segment; above 0 the map is not used until the segment is joined.
+        self.pause_s = 0.0
         self._misses = 0  # consecutive scans that matched neither the map nor the segment
         self._moved_m = self._turned = 0.0  # from the previous key frame; turned: in fields of view
         self._is_same_place = False  # as that of the previous key frame
@@ -301,30 +302,18 @@ class SurfelSubmaps:
         """The sub-map that scans are matched to; None before the first scan."""
         return self._pair[0] if self._pair else None
 
-    @property
-    def detached(self) -> Submap | None:
-        """The segment that is not joined to the map; None: there is none."""
-        return self._detached
-
-    @property
-    def pause_s(self) -> float:
-        """Duration of the motion that was not measured, s; above 0 the map is not used until the graph has
-        joined the segment.
-        """
-        return self._pause_s
-
     def detach(self, pause_s: float) -> None:
         """As Detachable.detach."""
         if not self._pair:
             return
-        self._pause_s = pause_s
-        if self._detached is not None:
-            self._detached.release()
-            self._detached = None
+        self.pause_s = pause_s
+        if self.detached is not None:
+            self.detached.release()
+            self.detached = None
 
     def attach(self) -> None:
         """As Detachable.attach."""
-        self._pause_s = 0.0
+        self.pause_s = 0.0
 
     def standing(self) -> Standing | None:
         """As CountsStanding.standing."""
@@ -332,11 +321,11 @@ class SurfelSubmaps:
 
     def join(self, segment: int) -> None:
         """Continue with a detached segment that the graph has joined, if it is the newest."""
-        if self._detached is None or segment != self._segment:
+        if self.detached is None or segment != self._segment:
             return
         for submap in self._pair:
             submap.release()
-        self._pair, self._detached, self._pause_s = [self._detached], None, 0.0
+        self._pair, self.detached, self.pause_s = [self.detached], None, 0.0
         self._joined_segment = self._segment
         self._travelled_m = 0.0
 
@@ -347,7 +336,7 @@ class SurfelSubmaps:
     def shorten(self, sensor: str, step_m: float) -> None:
         """Move the walls seen by a laser by a change of its constant range bias."""
         laser = self.laser_of(sensor)
-        for submap in (*self._pair, self._detached):
+        for submap in (*self._pair, self.detached):
             if submap is not None and laser < LASERS:
                 submap.shorten(laser, step_m)
 
@@ -370,9 +359,9 @@ class SurfelSubmaps:
         pose = match.motion.pose_odom_base
         if match.state == "lost" and self._pair:
             return self._insert_detached(points, match)
-        if self._detached is not None:
-            self._detached.release()
-            self._detached = None
+        if self.detached is not None:
+            self.detached.release()
+            self.detached = None
             self._begin_keyframes()
         if self._pair and not self._is_keyframe(points, pose, self._pair[0]):
             return MapChange(segment=self._joined_segment)
@@ -386,26 +375,26 @@ class SurfelSubmaps:
     def _insert_detached(self, points: Points, match: Match) -> MapChange:
         """Insert a lost scan into the segment it was matched to, or begin one; few returns do neither."""
         if too_few(points):
-            return MapChange(segment=self._joined_segment if self._detached is None else self._segment)
+            return MapChange(segment=self._joined_segment if self.detached is None else self._segment)
         pose = match.motion.pose_odom_base
         self._misses = 0 if match.measured is not None else self._misses + 1
-        if self._detached is None or self._misses >= MAX_MISSES:
-            if self._detached is not None:
-                self._detached.release()
-            self._detached = self.new_submap()
+        if self.detached is None or self._misses >= MAX_MISSES:
+            if self.detached is not None:
+                self.detached.release()
+            self.detached = self.new_submap()
             self._begin_keyframes()
             self._misses = 0
             self._segment += 1
             self._advance(points, pose)
-            self._insert_keyframe([self._detached], points, pose)
+            self._insert_keyframe([self.detached], points, pose)
             return MapChange(is_keyframe=True, error_left=NEW_SEGMENT_ERROR, segment=self._segment)
         elif match.measured is None:
             return MapChange(segment=self._segment)
-        if not self._is_keyframe(points, pose, self._detached):
+        if not self._is_keyframe(points, pose, self.detached):
             return MapChange(segment=self._segment)
         self._advance(points, pose)
-        error_left = self._error_left(match, self._detached)
-        self._insert_keyframe([self._detached], points, pose)
+        error_left = self._error_left(match, self.detached)
+        self._insert_keyframe([self.detached], points, pose)
         return MapChange(is_keyframe=True, error_left=error_left, segment=self._segment)
 
     def _error_left(self, match: Match, submap: Submap) -> float:

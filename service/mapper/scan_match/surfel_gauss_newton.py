@@ -26,6 +26,7 @@ from service.mapper.judgement import (
     JudgementConfig,
     begun,
     chi2_between,
+    is_contradicted,
     is_loose,
     judge,
     sigmas_of,
@@ -118,7 +119,8 @@ class SurfelGaussNewton:
         points = self._bias.without(points)
         if reason := too_few(points):
             return unmatched(points, predicted, reason)
-        if local_map.matched_to is None:
+        submap = local_map.matched_to
+        if submap is None:
             return begun(points, predicted)
         if local_map.detached is not self._detached:
             self._detached = local_map.detached
@@ -127,7 +129,7 @@ class SurfelGaussNewton:
                 self._gap, self._segment_covariance = None, np.zeros((3, 3))
             else:  # a new segment at the predicted pose
                 self._gap = self._began
-        match = self._matched(self._attempt(points, predicted, local_map), local_map, local_map.matched_to)
+        match = self._matched(self._attempt(points, predicted, local_map), local_map, submap)
         if match.measured is not None:
             self._steady.matched(points.scan.stamp_ns, match.measured.pose_odom_base)
         return match
@@ -156,7 +158,7 @@ class SurfelGaussNewton:
     ) -> tuple[Attempt, Aligned]:
         attempt = self._attempt(points, predicted, local_map)
         aligned = self._align(attempt, attempt.prior.pose, submap)
-        if _chi2(aligned.result.pose, attempt.prior) > JUMP_CHI2:
+        if chi2_of(aligned.pose, attempt.prior) > JUMP_CHI2:
             attempt = attempt._replace(usual_ratio=0.0)  # no other initial pose is tried
             aligned = self._align(attempt, attempt.prior.pose, submap)
         return attempt, aligned
@@ -167,7 +169,8 @@ class SurfelGaussNewton:
         usual = self._usual_ratios.get(points.scan.sensor, 1.0)
         open_s, path_m = self._since_fix
         since_fix = open_s + predicted.elapsed_s, path_m + predicted.travel_m
-        return Attempt(on_walls, points, normals, posts_of(points), predicted, prior, usual, since_fix)
+        stamp_ns, posts = points.scan.stamp_ns, posts_of(points)
+        return Attempt(stamp_ns, on_walls, points, normals, posts, predicted, prior, usual, since_fix)
 
     def _matched(self, attempt: Attempt, local_map: SurfelSubmaps, submap: Submap) -> Match:
         if local_map.pause_s:
@@ -177,10 +180,12 @@ class SurfelGaussNewton:
         if (static := self._scene.match(attempt, submap)) is not None:
             return self._followed(static, attempt)
         aligned = self._align(attempt, attempt.prior.pose, submap)
-        aligned = self._searched(self._matched_at_constant_velocity(aligned, attempt), attempt)
-        if aligned.state != "lost" and aligned.is_contradicted:
+        is_usual = aligned.state != "lost" and aligned.result.share >= DOUBT_RATIO * attempt.usual_ratio
+        if self._was_contradicted or not is_usual:
+            aligned = self._searched(self._matched_at_constant_velocity(aligned, attempt), attempt)
+        if aligned.state != "lost" and is_contradicted(aligned.evidence):
             aligned = self._matched_by_inertia(aligned, attempt)
-        if aligned.state != "lost" and self._is_found(aligned, attempt):
+        if aligned.state != "lost" and (self._gap is None or self._is_found(aligned, attempt)):
             aligned = self._scene.judge(aligned, attempt)
             if aligned.is_moving is not None:
                 return self._followed(aligned, attempt)
@@ -228,11 +233,9 @@ class SurfelGaussNewton:
         A match far from the prediction is a hypothesis, as rooms look alike; the next one must agree. A match
         that the path excludes is rejected; the graph searches the rest of the map.
         """
-        if self._gap is None:
-            return True
-        if _chi2(aligned.result.pose, attempt.prior) > JUMP_CHI2:
+        if chi2_of(aligned.pose, attempt.prior) > JUMP_CHI2:
             return False
-        if not is_loose(sigmas_of(attempt.prior.covariance)):
+        if not is_loose(aligned.evidence.prior):
             return True
         return self._confirmation.confirms(aligned.pose, attempt.predicted.pose_odom_base)
 
@@ -310,16 +313,19 @@ class SurfelGaussNewton:
             DOUBT_RATIO * attempt.usual_ratio,
             xy_base,
         )
-        xy_base = xy_base[: len(points.xy_base)]
-        evidence = self._evidence(result, xy_base, attempt, submap)
-        return Aligned(result, xy_base, submap, *judge(evidence, self._config), evidence)
+        pose, xy_base = SE2(*result.pose.tolist()), xy_base[: len(points.xy_base)]
+        evidence = self._evidence(result, pose, xy_base, attempt, submap)
+        return Aligned(result, pose, xy_base, submap, *judge(evidence, self._config), evidence)
 
-    def _evidence(self, result: MatchResult, xy_base: Matrix, attempt: Attempt, submap: Submap) -> Evidence:
+    def _evidence(
+        self, result: MatchResult, pose: SE2, xy_base: Matrix, attempt: Attempt, submap: Submap
+    ) -> Evidence:
         prior = sigmas_of(attempt.prior.covariance)
+        is_gap = self._gap is not None or attempt.predicted.elapsed_s > GAP_S
         is_far = (
             attempt.predicted.pause_s > GAP_S  # not measured: the vehicle may have been carried
-            or _chi2(result.pose, attempt.prior) > JUMP_CHI2
-            or (is_loose(prior) and (self._gap is not None or attempt.predicted.elapsed_s > GAP_S))
+            or chi2_of(pose, attempt.prior) > JUMP_CHI2
+            or (is_gap and is_loose(prior))
         )
         open_s, path_m = attempt.since_fix
         open_m = max(path_m, open_s * self._fixed_mps) + math.sqrt(velocity_variance(open_s)[0])
@@ -352,10 +358,9 @@ class SurfelGaussNewton:
         start = self._steady.pose_at(attempt.stamp_ns)
         if start is None:
             return aligned
-        begin = np.array(start)
-        if _chi2(begin, attempt.prior) < JUMP_CHI2:
+        if chi2_of(start, attempt.prior) < JUMP_CHI2:
             return aligned  # the same initial pose
-        found = self._align(attempt, begin, aligned.submap)
+        found = self._align(attempt, np.array(start), aligned.submap)
         gain = 0.0 if self._was_contradicted else MIN_INLIER_GAIN
         return found if found.state != "lost" and found.result.share > share + gain else aligned
 
@@ -382,7 +387,7 @@ class SurfelGaussNewton:
         found = self._align(attempt, np.array(start), aligned.submap)
         if found.state == "lost" or found.result.share < share + MIN_INLIER_GAIN:
             return aligned
-        less_likely = _chi2(found.result.pose, attempt.prior) - _chi2(aligned.result.pose, attempt.prior)
+        less_likely = chi2_of(found.pose, attempt.prior) - chi2_of(aligned.pose, attempt.prior)
         return found if aligned.is_contradicted or less_likely <= LESS_LIKELY_CHI2 else aligned
 
     def _matched_by_inertia(self, aligned: Aligned, attempt: Attempt) -> Aligned:
@@ -461,10 +466,6 @@ def _chance_chi2(predicted: Prediction) -> float:
     """Squared sigmas of chance that are subtracted from the information of a scan; [22]."""
     travel_m = max(predicted.travel_m, CHANCE_M / MAX_CHANCE_SCANS)
     return 2.0 * math.log(max(CHANCE_M / travel_m, 1.0))
-
-
-def _chi2(pose: Matrix, prior: Prior) -> float:
-    return chi2_of(SE2(*pose.tolist()), prior)
 
 
 def _prior_of(predicted: Prediction, gap: _Gap | None) -> Prior:
