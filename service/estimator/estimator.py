@@ -6,6 +6,7 @@ Model and equations: docs/estimator.md. Arithmetic: service/kernels/estimator.py
 import logging
 import math
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from pydantic import Field
@@ -183,7 +184,9 @@ class Estimator:
         self.filter: np.void = self._record[0]
         self.filter["settings"] = self._settings
         self.filter["covariance"] = np.diag(sigma**2)
-        self._covariances: list[Matrix] = [self.filter["covariance"]]  # the last one is published
+        views = (self.filter[name] for name in ("pose", "twist", "noise", "increment", "covariance"))
+        self._pose, self._twist, self._noise, self._newest_increment, covariance = views
+        self._covariances: list[Matrix] = [covariance]  # the last one is published
         for noise in ("noise", "gyro_noise", "motion_noise"):
             self.filter[noise] = 1.0
         self._begin_acceleration()
@@ -200,7 +203,7 @@ class Estimator:
                 "odometry contradicts the scans (it says the same position again while they move) and is not "
                 "used; is an encoder dead, does its driver repeat its last message?",
             )
-        distance, turns = self.filter["noise"].tolist()
+        distance, turns = self._noise.tolist()
         gyro = float(self.filter["gyro_noise"])
         if max(distance, turns) > FAULT_NOISE:
             source = "distance" if distance >= turns else "turns"
@@ -229,7 +232,7 @@ class Estimator:
 
     def predict(self, stamp_ns: int) -> Prediction:
         state = self.filter
-        before = SE2(*state["pose"].tolist())
+        before = SE2(*self._pose.tolist())
         pause_s = 0.0
         if not self._has_begun:
             self._has_begun = True
@@ -247,8 +250,8 @@ class Estimator:
         is_unconfirmed_stop, self._is_unconfirmed_stop = self._is_unconfirmed_stop, False
         self._odometry.drop_before(stamp_ns - KEEP_BEFORE_NS)
         self._gyro.drop_before(stamp_ns - KEEP_BEFORE_NS)
-        noise, turn_noise = self.filter["noise"].tolist()
-        is_measured = bool(state["increment"]["has_odometry"]) and max(noise, turn_noise) <= FAULT_NOISE
+        noise, turn_noise = self._noise.tolist()
+        is_measured = bool(self._newest_increment["has_odometry"]) and max(noise, turn_noise) <= FAULT_NOISE
         is_scan_alone = scan_alone(is_measured, noise)
         if is_scan_alone and self._consistent is None:
             self._consistent = ConsistentCovariance(self._record)
@@ -259,11 +262,11 @@ class Estimator:
             self._covariances.pop()
         samples_dropped = self._odometry.dropped + self._gyro.dropped
         self._odometry.dropped = self._gyro.dropped = 0
-        covariance = state["covariance"]
-        pose = SE2(*state["pose"].tolist())
+        covariance = self._covariances[0]
+        pose = SE2(*self._pose.tolist())
         return Prediction(
             pose_odom_base=pose,
-            twist_base=tuple(state["twist"].tolist()),
+            twist_base=tuple(self._twist.tolist()),
             covariance=self._covariances[-1][MAP_BLOCK, MAP_BLOCK].copy(),
             local_covariance=covariance[LOCAL_BLOCK, LOCAL_BLOCK].copy(),
             twist_covariance=covariance[TWIST : TWIST + 3, LOCAL_BLOCK].copy(),
@@ -276,17 +279,17 @@ class Estimator:
             is_unconfirmed_stop=is_unconfirmed_stop and pause_s > 0.0,
             increment=self._increment(),
             samples_dropped=samples_dropped,
-            deskew=self._deskew,
+            deskew=partial(deskew_sweep, self._record, self._odometry.track, self._gyro.track),
         )
 
     def _increment(self) -> OdometryIncrement | None:
         """The newest odometry increment, with the learnt noise, at least that of the model."""
-        newest = self.filter["increment"].item()
+        newest = self._newest_increment.item()
         has_odometry, _, has_gyro, step, variance_m2, turn_rad2, end_s3, gyro_rad, gyro_rad2 = newest
         if not has_odometry or self._elapsed_s <= 0.0:
             return None
         x_m, y_m, turn_rad = step.tolist()
-        distance_noise, turn_noise = self.filter["noise"].tolist()
+        distance_noise, turn_noise = self._noise.tolist()
         turn_rad2 *= max(turn_noise, 1.0)
         end_m2 = self._settings.acceleration**2 * end_s3  # [8]
         end_rad2 = self._settings.turn_acceleration**2 * end_s3
@@ -298,10 +301,6 @@ class Estimator:
         return OdometryIncrement(
             SE2(x_m, y_m, turn_rad), variance_m2 * max(distance_noise, 1.0), turn_rad2, end_m2, end_rad2
         )
-
-    def _deskew(self, beam_time_s: Matrix, xy_raw: Matrix, xy_base: Matrix) -> None:
-        tracks = self._odometry.track, self._gyro.track
-        deskew_sweep(self._record, *tracks, beam_time_s, xy_raw, xy_base)
 
     def correct(self, measured: Measurement | None) -> Motion:
         state = self.filter
@@ -320,10 +319,10 @@ class Estimator:
                 self._consistent.correct(self._record, pose, measured)
             weight, information = measured.prior_weight, measured.information
             take_match(self._record, np.array(pose), covariance, weight, information)
-        elif not state["increment"]["has_odometry"]:
-            state["twist"] *= math.exp(-self._elapsed_s / FADE_S)
+        elif not self._newest_increment["has_odometry"]:
+            self._twist *= math.exp(-self._elapsed_s / FADE_S)
         published = self._covariances[-1][MAP_BLOCK, MAP_BLOCK].copy()
-        return Motion(SE2(*state["pose"].tolist()), tuple(state["twist"].tolist()), published)
+        return Motion(SE2(*self._pose.tolist()), tuple(self._twist.tolist()), published)
 
     def moved(self, seconds: float) -> Motion:
         pose, twist, covariance = np.empty(3), np.empty(3), np.empty((3, 3))

@@ -69,10 +69,8 @@ class Prediction(Motion):
         gain: Matrix = self.twist_covariance @ np.linalg.inv(self.local_covariance)
         return gain
 
-    def after(self, earlier: "Prediction | None") -> "Prediction":
+    def after(self, earlier: "Prediction") -> "Prediction":
         """The prediction since the scan before that of an earlier one, whose scan was not matched."""
-        if earlier is None:
-            return self
         parts, elapsed_s = (earlier, self), earlier.elapsed_s + self.elapsed_s
         measured_s = sum(part.elapsed_s for part in parts if part.increment is not None)
         increment = None

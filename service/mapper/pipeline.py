@@ -208,7 +208,7 @@ class Mapper(Generic[ReadableMap]):
         newest = self.components.motion_model.predict(stamp_ns)
         if newest.samples_dropped:
             self.counters["samples_dropped_waiting"] += newest.samples_dropped
-        self._unmatched = newest.after(self._unmatched)
+        self._unmatched = newest if self._unmatched is None else newest.after(self._unmatched)
         return newest.travel_m, self._unmatched
 
     def _process_scan(self, scan: LaserScan, at_ns: int) -> MapperOutput:

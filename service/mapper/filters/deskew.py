@@ -1,7 +1,7 @@
 """Scan to points: unusable beams are dropped, the motion during the sweep is removed."""
 
-import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -29,8 +29,25 @@ class BeamsConfig(Section):
     farthest_m: float = Field(default=100.0, gt=0.0)
 
 
+class _Beams(NamedTuple):
+    """What the scans of one sensor have in common.
+
+    offset      as of DeskewByTwist.__call__
+    mounting    with the offset
+    direction   (N, 2) unit vector of each beam, base axes
+    xy_m        (2,) the sensor in the base frame
+    gate_m      (2,) nearest and farthest range that is used
+    """
+
+    offset: SE2 | None
+    mounting: SE2
+    direction: Floats
+    xy_m: Floats
+    gate_m: Floats
+
+
 class DeskewByTwist:
-    """Deskewing by constant twist; caches the beam directions of each sensor.
+    """Deskewing by constant twist.
 
     outline_m   corners of the vehicle, base frame: returns inside it are dropped
     """
@@ -42,7 +59,7 @@ class DeskewByTwist:
         self._outline_m = np.array(outline_m, np.float64).reshape(-1, 2)
         self._mountings = dict(mountings)
         self._noise: dict[str, tuple[int, float]] = {}
-        self._directions: dict[tuple[str, float, float, int], tuple[float, Floats]] = {}
+        self._beams: dict[tuple[str, float, float, float, float, int], _Beams] = {}
 
     def moment_of(self, scan: LaserScan) -> int:
         """Time of the deskewed points: that of the first beam."""
@@ -55,33 +72,23 @@ class DeskewByTwist:
 
         offset   of the laser from its configured mounting, base axes
         """
-        mounting = self._mountings.get(scan.sensor)
-        if mounting is None:
-            known = ", ".join(sorted(self._mountings)) or "none"
-            raise InputError(
-                f"{scan.sensor}: a scan of a laser whose mounting is not known (known: {known}); "
-                "give its mounting in the config, or its transform in the recording"
-            )
-        if offset is not None:
-            mounting = offset @ mounting
-        beam_count = len(scan.range_m)
+        range_m, nearest_m, farthest_m = scan.range_m, scan.range_min_m, scan.range_max_m
+        beam_count = len(range_m)
+        key = scan.sensor, scan.first_angle_rad, scan.angle_step_rad, nearest_m, farthest_m, beam_count
+        beams = self._beams.get(key)
+        if beams is None or beams.offset != offset:
+            beams = self._beams[key] = self._beams_of(scan, offset)
         returns = Returns(np.empty((beam_count, 2)), np.empty(beam_count), np.empty(beam_count, np.int32))
-        config = self._config
+        interval_s = scan.beam_interval_ns * 1e-9
+        late_s = 0.0 if at_ns is None else (at_ns - scan.stamp_ns) * 1e-9
         count, noise_m, gap = project_returns(
-            scan.range_m,
-            self._directions_of(scan, mounting),
-            np.array([mounting.x_m, mounting.y_m]),
-            np.array([max(scan.range_min_m, config.nearest_m), min(scan.range_max_m, config.farthest_m)]),
-            self._outline_m,
-            scan.beam_interval_ns * 1e-9,
-            0.0 if at_ns is None else (at_ns - scan.stamp_ns) * 1e-9,
-            returns,
+            range_m, beams.direction, beams.xy_m, beams.gate_m, self._outline_m, interval_s, late_s, returns
         )
         xy_raw, beam_time_s, beam = returns.xy_raw[:count], returns.beam_time_s[:count], returns.beam[:count]
         sigma_m = self._noise_of(scan.sensor, noise_m)
         xy_base = np.empty((count, 2))
         self._deskew(beam_time_s, xy_raw, motion, xy_base)
-        return Points(xy_base, xy_raw, beam_time_s, beam, mounting, scan, sigma_m, gap)
+        return Points(xy_base, xy_raw, beam_time_s, beam, beams.mounting, scan, sigma_m, gap)
 
     def _deskew(self, beam_time_s: Floats, xy_raw: Floats, motion: Motion, xy_base: Floats) -> None:
         deskew_points(xy_raw, beam_time_s, np.array(motion.twist_base), xy_base)
@@ -95,14 +102,22 @@ class DeskewByTwist:
             self._noise[sensor] = count, mean_m
         return mean_m
 
-    def _directions_of(self, scan: LaserScan, mounting: SE2) -> Floats:
-        key = (scan.sensor, scan.first_angle_rad, scan.angle_step_rad, len(scan.range_m))
-        theta_rad, directions = self._directions.get(key, (math.nan, np.empty((0, 2))))
-        if theta_rad != mounting.theta_rad:
-            angle = mounting.theta_rad + scan.first_angle_rad + np.arange(key[3]) * scan.angle_step_rad
-            directions = np.ascontiguousarray(np.stack([np.cos(angle), np.sin(angle)], axis=1))
-            self._directions[key] = mounting.theta_rad, directions
-        return directions
+    def _beams_of(self, scan: LaserScan, offset: SE2 | None) -> _Beams:
+        mounting = self._mountings.get(scan.sensor)
+        if mounting is None:
+            known = ", ".join(sorted(self._mountings)) or "none"
+            raise InputError(
+                f"{scan.sensor}: a scan of a laser whose mounting is not known (known: {known}); "
+                "give its mounting in the config, or its transform in the recording"
+            )
+        if offset is not None:
+            mounting = offset @ mounting
+        x_m, y_m, theta_rad = mounting
+        angle = theta_rad + scan.first_angle_rad + np.arange(len(scan.range_m)) * scan.angle_step_rad
+        direction = np.ascontiguousarray(np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        nearest_m = max(scan.range_min_m, self._config.nearest_m)
+        farthest_m = min(scan.range_max_m, self._config.farthest_m)
+        return _Beams(offset, mounting, direction, np.array([x_m, y_m]), np.array([nearest_m, farthest_m]))
 
 
 class DeskewByMotion(DeskewByTwist):

@@ -28,11 +28,6 @@ def test_two_steps_are_one_over_the_time_of_both() -> None:
     assert both.increment[1:] == pytest.approx((2e-4 + 1e-5 * 0.1**2, 2e-5, 0.0, 0.0))
 
 
-def test_a_scan_after_one_that_was_matched_keeps_its_prediction() -> None:
-    one = predicted()
-    assert one.after(None) is one
-
-
 def test_a_step_without_odometry_continues_by_the_twist_where_most_of_the_time_is_measured() -> None:
     both = predicted(0.02, None).after(predicted())
     assert both.increment is not None
