@@ -10,9 +10,8 @@ import numpy.typing as npt
 
 from service.estimator.motion import Measurement
 from service.geometry.se2 import SE2
-from service.kernels.estimator import predict_motion, take_match
+from service.kernels.estimator import take_match
 from service.kernels.filter_state import LOCAL_BLOCK, MAP_BLOCK, STUDENT, FilterRecord
-from service.kernels.tracks import Track
 
 Matrix = npt.NDArray[np.float64]
 
@@ -24,10 +23,6 @@ class ConsistentCovariance:
         """record: the estimator's, as of a prediction."""
         self._record = record.copy()  # only the covariance is used; the rest is a copy of the estimator's
         self.covariance: Matrix = self._record["covariance"][0]
-
-    def predict(self, record: FilterRecord, odometry: Track, gyro: Track, stamp_ns: int) -> None:
-        """Propagate to the time of a scan; record: the estimator's, as of the scan before."""
-        predict_motion(self.view(record), odometry, gyro, stamp_ns)
 
     def add_excess_to(self, record: FilterRecord) -> None:
         """Add the excess of this covariance to the estimator's, as of the same prediction."""
@@ -54,7 +49,7 @@ class ConsistentCovariance:
         )
 
     def view(self, record: FilterRecord) -> FilterRecord:
-        """The estimator's state with this covariance; read-only."""
+        """The estimator's state with this covariance, which a kernel may propagate."""
         own = self.covariance.copy()
         self._record[:] = record
         self.covariance[:] = own

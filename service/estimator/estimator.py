@@ -243,7 +243,7 @@ class Estimator:
                 pause_s = self._odometry.longest_pause_s(int(state["stamp_ns"]), stamp_ns)
             tracks = self._odometry.track, self._gyro.track
             if self._consistent is not None:
-                self._consistent.predict(self._record, *tracks, stamp_ns)
+                predict_motion(self._consistent.view(self._record), *tracks, stamp_ns)
             predict_motion(self._record, *tracks, stamp_ns)
             if pause_s > 0.0 and self._odometry.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= SPEED_WINDOW_NS:
                 self._begin_twist(stamp_ns)

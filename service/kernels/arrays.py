@@ -9,6 +9,7 @@ from service.compile.lazy import Layout
 
 Float64_1D = Annotated[npt.NDArray[np.float64], Layout(np.float64, 1)]
 Float64_2D = Annotated[npt.NDArray[np.float64], Layout(np.float64, 2)]
+Float64_3D = Annotated[npt.NDArray[np.float64], Layout(np.float64, 3)]
 Float32_1D = Annotated[npt.NDArray[np.float32], Layout(np.float32, 1)]
 Float32_2D = Annotated[npt.NDArray[np.float32], Layout(np.float32, 2)]
 Float32_3D = Annotated[npt.NDArray[np.float32], Layout(np.float32, 3)]

@@ -19,6 +19,7 @@ THICK_SIGMAS = 2.0  # gate of the scatter across a plane
 ANGLE_SIGMA_RAD = 0.1  # target sigma of a normal; the window grows until it is reached
 MAX_ANGLE_SIGMAS = 2.0  # times the target sigma: a less certain normal is discarded
 MIN_COS_INCIDENCE = 0.05  # beams that graze more are not used
+GRAZING_WEIGHT = 5.0  # limit of a point's weight at grazing incidence; head-on it is 1
 ROUGH_WEIGHT = 0.01  # of a point that lies on no plane
 # Beside an edge, where the window around a point contains two walls: a window on one side of the point.
 MIN_SIDE = 2  # points in it besides the point itself

@@ -7,6 +7,9 @@ import numpy as np
 from service.kernels.arrays import Float64_1D, Float64_2D, Int32_1D
 from service.kernels.compiled import inner_kernel, kernel
 
+# Share of the points on posts: 0.73 and more in a wood. With fewer posts, walls fix the pose better.
+MIN_POST_SHARE = 0.7
+
 
 @inner_kernel
 def missing_by_chance(range_m, beam, gap, least_step_m):

@@ -4,10 +4,13 @@ import math
 
 import numpy as np
 
-from service.kernels.arrays import Float64_1D, Float64_2D
+from service.kernels.arrays import Float64_1D, Float64_2D, Float64_3D, Int32_1D
 from service.kernels.compiled import inner_kernel, kernel
 from service.kernels.linear3 import solve_3x3
 from service.kernels.match import MatchSettings
+from service.kernels.normals import GRAZING_WEIGHT, ROUND_OBJECT_M, estimate_normals
+from service.kernels.posts import MIN_POST_SHARE, find_posts
+from service.kernels.rays import BEHIND_M
 from service.kernels.surfel_equations import point_information
 from service.kernels.surfels import (
     COSINES,
@@ -23,40 +26,65 @@ from service.kernels.surfels import (
 )
 from service.kernels.tiles import NO_TILE, find_tile
 
+NODE_M = 0.5  # of the curve of the bias over range; its correlation length
 MIN_INCIDENCE_COSINE = 0.1  # beams that graze more carry no information about the range
 
 
 @inner_kernel
-def bias_at(curve_m, node_m, range_m):
+def bias_at(curve_m, range_m):
     """Linear interpolation of a curve, m; constant beyond the last node.
 
-    curve_m   (K,) float64   m at 0, node_m, 2 node_m, ...
+    curve_m   (K,) float64   m at 0, NODE_M, 2 NODE_M, ...
     """
-    at = range_m / node_m
+    at = range_m / NODE_M
     k = int(at)
     if k >= curve_m.shape[0] - 1:
         return curve_m[curve_m.shape[0] - 1]
     return curve_m[k] + (at - k) * (curve_m[k + 1] - curve_m[k])
 
 
-@kernel(Float64_2D, Float64_2D, Float64_1D, Float64_1D, float, Float64_2D, Float64_2D)
-def subtract_bias(xy_raw, xy_base, sensor_xy_m, curve_m, node_m, shortened_raw, shortened_base):
-    """Subtract the bias from the points of a scan, each along its beam.
+@inner_kernel
+def subtract_bias(xy, sensor_xy_m, curve_m, shortened):
+    """Subtract the bias from points (N, 2), each along its beam; shortened: out, (N, 2)."""
+    for i in range(xy.shape[0]):
+        x = xy[i, 0] - sensor_xy_m[0]
+        y = xy[i, 1] - sensor_xy_m[1]
+        range_m = math.sqrt(x * x + y * y)
+        share = bias_at(curve_m, range_m) / range_m if range_m > 0.0 else 0.0
+        shortened[i, 0] = xy[i, 0] - share * x
+        shortened[i, 1] = xy[i, 1] - share * y
 
-    xy_raw, xy_base   (N, 2) float64   m, as of Points
-    sensor_xy_m       (2,)   float64   start of the beams, m
-    curve_m           (K,)   float64   bias of the ranges at the nodes
-    node_m            float            distance of the nodes
-    shortened_raw, shortened_base   (N, 2) float64   out: m
+
+@kernel(
+    Float64_2D, Float64_2D, Int32_1D, Float64_1D, Float64_1D, float, float, int, int, Float64_3D, Float64_2D
+)
+def walls_of_scan(
+    xy_raw, xy_base, beam, sensor_xy_m, curve_m, range_sigma_m, spacing_rad, gap, beam_count, xy, normals
+):
+    """Subtract the range bias from a scan, then estimate its normals.
+
+    xy_raw, xy_base, beam, range_sigma_m, spacing_rad   as of Points
+    sensor_xy_m   (2,)   float64      start of the beams, m
+    curve_m       (K,)   float64      bias of the ranges, see bias_at
+    gap           int                 beams from one return to the next
+    beam_count    int                 of the scan
+    xy            (4, N, 2) float64   out: xy_raw and xy_base without bias; both, moved along their walls [24]
+    normals       (N, 3) float64      out: from estimate_normals
+    Returns whether most points are on posts.
     """
-    for xy, shortened in ((xy_raw, shortened_raw), (xy_base, shortened_base)):
-        for i in range(xy.shape[0]):
-            x = xy[i, 0] - sensor_xy_m[0]
-            y = xy[i, 1] - sensor_xy_m[1]
-            range_m = math.sqrt(x * x + y * y)
-            share = bias_at(curve_m, node_m, range_m) / range_m if range_m > 0.0 else 0.0
-            shortened[i, 0] = xy[i, 0] - share * x
-            shortened[i, 1] = xy[i, 1] - share * y
+    raw, base, moved_raw, moved_base = xy[0], xy[1], xy[2], xy[3]
+    subtract_bias(xy_raw, sensor_xy_m, curve_m, raw)
+    subtract_bias(xy_base, sensor_xy_m, curve_m, base)
+    estimate_normals(base, sensor_xy_m, spacing_rad, range_sigma_m, GRAZING_WEIGHT, normals, moved_base)
+    for i in range(raw.shape[0]):  # some cm; rotation within the sweep neglected
+        moved_raw[i, 0] = raw[i, 0] + (moved_base[i, 0] - base[i, 0])
+        moved_raw[i, 1] = raw[i, 1] + (moved_base[i, 1] - base[i, 1])
+    if raw.shape[0] < 3:
+        return False
+    _, _, on_posts = find_posts(
+        raw, beam, gap, beam_count, spacing_rad, sensor_xy_m, BEHIND_M, ROUND_OBJECT_M
+    )
+    return on_posts >= max(MIN_POST_SHARE * raw.shape[0], 1)
 
 
 @inner_kernel
@@ -87,13 +115,10 @@ def cosine_of_map(found, grid, laser):
     int,
     SurfelGrid,
     MatchSettings,
-    float,
     Float64_2D,
     Float64_1D,
 )
-def bias_information(
-    xy_base, normals, pose, sensor_xy_m, laser, grid, settings, node_m, information, weighted_m
-):
+def bias_information(xy_base, normals, pose, sensor_xy_m, laser, grid, settings, information, weighted_m):
     """Information of a matched scan about the bias, at the nodes and constant, with the pose marginalised;
     [21].
 
@@ -104,7 +129,6 @@ def bias_information(
     laser          int                      as in insert_surfels; LASERS: no information about the constant
     grid           SurfelGrid               with cosines
     settings       MatchSettings
-    node_m         float                    distance of the nodes
     information    (K + 1, K + 1) float64   out: 1/m^2; the constant last
     weighted_m     (K + 1,)       float64   out: information times bias, 1/m
     """
@@ -139,7 +163,7 @@ def bias_information(
         if cosine < MIN_INCIDENCE_COSINE:
             continue
         # At the range of the wall, not of the point: else the range noise would select the node.
-        at = max(0.0, range_m + e / cosine) / node_m
+        at = max(0.0, range_m + e / cosine) / NODE_M
         k = int(at)
         if k >= count - 1:
             continue

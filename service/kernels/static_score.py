@@ -46,7 +46,7 @@ class Observations(NamedTuple):
 
 
 class StaticScoreSettings(NamedTuple):
-    """Documented in service/mapper/scan_match/dynamic_filter.py; times in ticks."""
+    """Documented in service/mapper/scan_match/submaps.py; times in ticks."""
 
     full_score: int
     max_free: int

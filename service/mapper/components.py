@@ -418,8 +418,8 @@ class Graph(Protocol):
         """Release the back end."""
 
 
-class Stopwatch(Protocol):
-    """Measures the duration of the components for a summary; affects no result."""
+class Stopwatch:
+    """Measures the duration of the components for a summary; affects no result. This one measures nothing."""
 
     def start(self) -> None: ...
     def lap(self, component: str) -> None: ...

@@ -52,17 +52,6 @@ class Localisation:
         at_ns           moment of the scan
         prior           (3, 3) covariance of the prediction, base axes
         """
-        match = self._on_map(match, change, pose_map_odom)
-        if few:  # neither measures nor contradicts
-            if self._placed_ns is None:
-                return match
-            blank_s = (at_ns - self._placed_ns) * 1e-9
-            state, reason = judge_blank(few, sigmas_of(prior), blank_s)
-            return match._replace(state=state, reason=reason)
-        self._placed_ns = at_ns if match.state != "lost" else None
-        return match
-
-    def _on_map(self, match: Match, change: MapChange, pose_map_odom: SE2) -> Match:
         self.pose_map_odom, self._known_here = pose_map_odom, self._known
         if match.measured is not None:
             self._is_on_map = match.state != "lost"
@@ -81,6 +70,13 @@ class Localisation:
             match = match._replace(state="degraded", reason=UNPROVEN)
         if match.state == "lost":
             match = match._replace(reason=self._why_lost(match.reason))
+        if few:  # neither measures nor contradicts
+            if self._placed_ns is None:
+                return match
+            blank_s = (at_ns - self._placed_ns) * 1e-9
+            state, reason = judge_blank(few, sigmas_of(prior), blank_s)
+            return match._replace(state=state, reason=reason)
+        self._placed_ns = at_ns if match.state != "lost" else None
         return match
 
     def covariance_of(self, motion: Motion) -> Matrix:

@@ -38,11 +38,6 @@ CHANGES_REPORTED_NS = 5_000_000_000  # between two counts of the changed cells
 POINT_ARRAYS = ("xy_base", "xy_raw", "beam_time_s", "beam")  # of Points
 
 
-class NoStopwatch:
-    def start(self) -> None: ...
-    def lap(self, component: str) -> None: ...
-
-
 class Mapper(Generic[ReadableMap]):
     """Single-threaded, reads no clock, independent of the method. The same frames give the same outputs."""
 
@@ -69,7 +64,7 @@ class Mapper(Generic[ReadableMap]):
         self.saved: SavedGraph | KeptGraph | None = None  # graph of the newest checkpoint
         self.graph_picture: GraphPicture | None = None  # the newest, for display
         self.edited: list[EditAnswer] = []  # in the order of the requests; taken by the caller
-        self._stopwatch = stopwatch if stopwatch is not None else NoStopwatch()
+        self._stopwatch = stopwatch or Stopwatch()
         self._last_ns: int | None = None  # moment of the newest pose
         self._newest: MapperOutput | None = None
         self._scan_ns: dict[str, int] = {}  # stamp of the newest one, by laser

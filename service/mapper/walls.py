@@ -26,7 +26,6 @@ def walls_of(
     sensor_xy_m: tuple[float, float],
     angle_step_rad: float,
     range_sigma_m: float,
-    grazing_weight: float = 1.0,
 ) -> Walls:
     """Walls at a scan's points, (N, 2) m in beam order; the other arguments as of estimate_normals.
 
@@ -35,5 +34,5 @@ def walls_of(
     """
     normals, moved = np.empty((len(xy_base), 3)), np.empty_like(xy_base)
     sensor = np.array(sensor_xy_m)
-    estimate_normals(xy_base, sensor, angle_step_rad, range_sigma_m, grazing_weight, normals, moved)
+    estimate_normals(xy_base, sensor, angle_step_rad, range_sigma_m, 1.0, normals, moved)
     return Walls(moved, normals)

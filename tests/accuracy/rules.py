@@ -3,7 +3,7 @@
 import math
 import tempfile
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from unittest.mock import patch
 from service.kernels.deskew import deskew_points
 from service.kernels.filter_state import FilterRecord
 from service.kernels.normals import estimate_normals
+from service.kernels.range_bias import walls_of_scan
 from service.kernels.tracks import Track
 from service.mapper.components import Points
 from service.mapper.filters.deskew import DeskewByTwist
@@ -27,13 +28,20 @@ from tests.shared_data import SHARED
 from tests.simulated import LMS100_50HZ
 
 METHOD = "service.mapper.scan_match"
-DYNAMIC_FILTER = f"{METHOD}.dynamic_filter"
+DYNAMIC_FILTER = f"{METHOD}.submaps"
 
 
 def normals_of_points_as_they_are(*arguments: Any) -> None:
     """As estimate_normals, whose first argument is the points, and the last one those moved."""
     estimate_normals(*arguments)
     arguments[-1][:] = arguments[0]
+
+
+def walls_of_points_as_they_are(*arguments: Any) -> bool:
+    """As walls_of_scan, which writes the points and those moved to the last argument but one."""
+    has_posts: bool = walls_of_scan(*arguments)
+    arguments[-2][2:] = arguments[-2][:2]
+    return has_posts
 
 
 def deskewed_by_twist(record: FilterRecord, _odometry: Track, _gyro: Track, *arrays: Matrix) -> None:
@@ -85,8 +93,11 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ),
     (
         "points moved along their walls ([24])",
-        "service.mapper.walls",
-        {"estimate_normals": normals_of_points_as_they_are},
+        "service.mapper",
+        {
+            "walls.estimate_normals": normals_of_points_as_they_are,
+            "scan_match.posts.walls_of_scan": walls_of_points_as_they_are,
+        },
     ),
     (
         "directions of walls by several key frames ([27])",
@@ -162,8 +173,11 @@ class Rule:
     settings: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
-    def _switched(self) -> AbstractContextManager[Any]:
-        return patch.multiple(self.module, **self.off) if self.off else nullcontext()
+    def _switched(self) -> ExitStack:
+        switches = ExitStack()
+        for name, value in self.off.items():
+            switches.enter_context(patch(f"{self.module}.{name}", value))
+        return switches
 
     def trip_mm(self, trip: Trip, seeds: Sequence[int], is_end: bool) -> str:
         errors = Errors()

@@ -288,8 +288,13 @@ class OccupancyTiles:
             self._canvas.render_again(
                 [self._to_render.popleft() for _ in range(min(RENDERED_AT_ONCE, len(self._to_render)))]
             )
-        stamp_ns = points.scan.stamp_ns
-        if len(points.xy_base) == 0 or not self._is_due(pose_map_base, stamp_ns):
+        config, stamp_ns = self._config, points.scan.stamp_ns
+        if self._last is not None:
+            last, last_ns = self._last
+            is_step = pose_map_base.is_step_from(last, config.insert_distance_m, config.insert_turn_rad)
+            if not is_step and (stamp_ns - last_ns) * 1e-9 < config.insert_interval_s:
+                return
+        if len(points.xy_base) == 0:
             return
         self._last = (pose_map_base, stamp_ns)
         sensor = points.sensor_base
@@ -339,16 +344,6 @@ class OccupancyTiles:
                 cells.setflags(write=False)
                 tiles.append(TileUpdate(0, column, row, len(tiles) + 1, self._cell_m, cells))
         return tiles
-
-    def _is_due(self, pose: SE2, stamp_ns: int) -> bool:
-        if self._last is None:
-            return True
-        last, last_ns = self._last
-        config = self._config
-        return (
-            pose.is_step_from(last, config.insert_distance_m, config.insert_turn_rad)
-            or (stamp_ns - last_ns) * 1e-9 >= config.insert_interval_s
-        )
 
 
 def draw_standing(standing: Standing, newest: MapperOutput) -> Grid | None:

@@ -29,15 +29,17 @@ from service.kernels.normals import ROUND_OBJECT_M
 from service.kernels.wall_groups import group_by_wall
 from service.mapper.judgement import JUMP_CHI2, MIN_CONFIRMING, is_loose, sigmas_of
 from service.mapper.scan_match.attempt import Aligned, Attempt, Matrix, chi2_of
-from service.mapper.scan_match.inertia import USUAL, SteadyMotion, inertia_cost
 from service.mapper.scan_match.reckoning import (
     MATCH_COVARIANCE,
     MATCH_SIGMA_M,
     MATCH_SIGMA_RAD,
+    USUAL,
     WINDOW_NS,
     Conflict,
     Reckoning,
+    SteadyMotion,
     by_speed,
+    inertia_cost,
 )
 from service.mapper.scan_match.submaps import STATIC_PATH_M, Submap
 from service.outputs import NO_REASON, Reason, State

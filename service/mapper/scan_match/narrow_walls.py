@@ -10,7 +10,7 @@ from service.kernels.cell_moments import (
     add_to_moments,
     direct_by_moments,
 )
-from service.kernels.normals import ROUGH_WEIGHT
+from service.kernels.normals import GRAZING_WEIGHT, ROUGH_WEIGHT
 from service.kernels.surfels import TILE_BITS, TILE_CELLS
 from service.mapper.components import Points
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
@@ -28,20 +28,36 @@ def narrow_wall_pool(capacity: int) -> TilePool:
 class NarrowWalls:
     """Narrow walls of one sub-map; see service/kernels/cell_moments.py."""
 
-    def __init__(self, pool: TilePool, cell_m: float, grazing_weight: float) -> None:
+    def __init__(self, pool: TilePool, cell_m: float) -> None:
         self._tiles = TileMap(pool)
         self._cell_m = cell_m
-        self._grazing_weight = grazing_weight
         self._next_half: dict[str, int] = {}  # by laser: each sees other walls
 
-    def direct(self, points: Points, pose: Matrix, normals: Matrix) -> None:
-        """Set the normals (N, 3) that a scan to be matched from a pose (3,) has not itself, in place."""
-        self._direct(points, pose, FOR_THE_MATCH, ROUGH_WEIGHT, normals)
+    def direct(
+        self,
+        points: Points,
+        pose: Matrix,
+        normals: Matrix,
+        half: int = FOR_THE_MATCH,
+        weight_off_plane: float = ROUGH_WEIGHT,
+    ) -> None:
+        """Set the normals (N, 3) that a scan at a pose (3,) has not itself; see direct_by_moments."""
+        direct_by_moments(
+            points.xy_base,
+            points.sensor_xy_m,
+            points.range_sigma_m,
+            pose,
+            self._grid(),
+            half,
+            GRAZING_WEIGHT,
+            weight_off_plane,
+            normals,
+        )
 
     def insert(self, points: Points, normals: Matrix, pose: Matrix) -> Matrix:
         """Add a key frame at a pose (3,); returns its normals (N, 3) for insertion into the map."""
         directed = normals.copy()
-        self._direct(points, pose, FOR_THE_MAP, 0.0, directed)
+        self.direct(points, pose, directed, FOR_THE_MAP, 0.0)
         half = self._next_half.get(points.scan.sensor, 0)
         self._next_half[points.scan.sensor] = (half + 1) % HALVES
         reach_m = reach_of(points.xy_base)
@@ -61,21 +77,6 @@ class NarrowWalls:
     def release(self) -> None:
         """Release the tiles; they are cleared when taken again."""
         self._tiles.release()
-
-    def _direct(
-        self, points: Points, pose: Matrix, half: int, weight_off_plane: float, normals: Matrix
-    ) -> None:
-        direct_by_moments(
-            points.xy_base,
-            points.sensor_xy_m,
-            points.range_sigma_m,
-            pose,
-            self._grid(),
-            half,
-            self._grazing_weight,
-            weight_off_plane,
-            normals,
-        )
 
     def _grid(self) -> MomentGrid:
         (moments,) = self._tiles.pool.arrays

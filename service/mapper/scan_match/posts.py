@@ -1,20 +1,20 @@
-"""Posts, trunks and pillars: round objects without a plane, whose centre is the same from all sides."""
+"""Walls that a scan sees, and posts: round objects, whose centre is the same from all sides."""
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from service.kernels.normals import ROUND_OBJECT_M
 from service.kernels.posts import find_posts
+from service.kernels.range_bias import walls_of_scan
 from service.kernels.rays import BEHIND_M
 from service.mapper.components import Points
 
 Matrix = npt.NDArray[np.float64]
 
-# Share of the points on posts: 0.73 and more in a wood. With fewer posts, walls fix the pose better.
-MIN_POST_SHARE = 0.7
 CENTROID = math.pi / 4.0  # in radii: distance of the centroid of the visible points in front of the centre
 ROUND_M = 0.02  # deviation of a post from a circle
 
@@ -49,17 +49,14 @@ class Posts:
         return normals
 
 
-def posts_of(points: Points) -> Posts | None:
-    """The posts that a scan sees completely; None where fewer than MIN_POST_SHARE of its points are on posts.
+def posts_of(points: Points) -> Posts:
+    """The posts that a scan sees completely.
 
     A post is a run of consecutive points, at most ROUND_OBJECT_M wide, with a farther background on both
     sides. Half its width is its radius. Returns missing by chance do not end a run.
     """
-    count = len(points.xy_raw)
-    if count < 3:
-        return None
     sensor = points.sensor_xy_m
-    span, spacing_m, on_posts = find_posts(
+    span, spacing_m, _ = find_posts(
         points.xy_raw,
         points.beam,
         points.usual_gap,
@@ -69,10 +66,8 @@ def posts_of(points: Points) -> Posts | None:
         BEHIND_M,
         ROUND_OBJECT_M,
     )
-    if on_posts < max(MIN_POST_SHARE * count, 1):
-        return None
     begin, end = span.T
-    is_on_post = np.zeros(count, np.bool_)
+    is_on_post = np.zeros(len(points.xy_raw), np.bool_)
     for first, after in span.tolist():
         is_on_post[first:after] = True
     of_each = (end - begin).astype(np.float64)
@@ -95,3 +90,30 @@ def posts_of(points: Points) -> Posts | None:
         variance_m2,
         is_on_post,
     )
+
+
+class SeenWalls(NamedTuple):
+    """Walls of a scan.
+
+    points      without the bias of its ranges
+    on_walls    the same, moved along their walls onto their beams
+    normals     (N, 3) from estimate_normals
+    has_posts   most of the points are on posts
+    """
+
+    points: Points
+    on_walls: Points
+    normals: Matrix
+    has_posts: bool
+
+
+def walls_seen(points: Points, curve_m: Matrix) -> SeenWalls:
+    """Walls at a scan's points; curve_m: the bias of its ranges, see bias_at."""
+    count = len(points.xy_base)
+    xy, normals = np.empty((4, count, 2)), np.empty((count, 3))
+    arrays = points.xy_raw, points.xy_base, points.beam, points.sensor_xy_m, curve_m
+    laser = points.range_sigma_m, points.spacing_rad, points.usual_gap, len(points.scan.range_m)
+    has_posts = walls_of_scan(*arrays, *laser, xy, normals)
+    raw, base, moved_raw, moved_base = xy
+    unbiased = points._replace(xy_base=base, xy_raw=raw)
+    return SeenWalls(unbiased, points._replace(xy_base=moved_base, xy_raw=moved_raw), normals, has_posts)

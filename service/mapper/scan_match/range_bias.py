@@ -1,18 +1,19 @@
 """Systematic range error of each laser, learnt while mapping and subtracted from its points."""
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from service.geometry.poses import Floats
 from service.kernels.match import MatchSettings
-from service.kernels.range_bias import bias_information, subtract_bias
+from service.kernels.range_bias import bias_information
 from service.mapper.checks.stamp_check import SCANS_WITH_SAME_ERRORS
 from service.mapper.components import Points
 from service.mapper.scan_match.submaps import Submap
 
-NODE_M, NODES = 0.5, 41  # the curve of the bias over range: 0 to 20 m; NODE_M is its correlation length
+NODES = 41  # of the curve of the bias over range: 0 to 20 m
 SIGMA_M = 0.01  # prior of the curve
 OFFSET_SIGMA_M = 0.02  # prior of the constant part
 # A change of the offset is applied to the map above this size and so many sigmas: each time all walls move.
@@ -47,22 +48,11 @@ class RangeBias:
     """Range bias of every laser by its name."""
 
     def __init__(self) -> None:
-        self._learnt: dict[str, _Learnt] = {}
+        self._learnt: defaultdict[str, _Learnt] = defaultdict(_Learnt)
 
     def curve_m(self, sensor: str) -> Floats:
         """(NODES,) bias of ranges 0, NODE_M, 2 NODE_M, ..., m."""
-        return self._learnt[sensor].curve_m if sensor in self._learnt else np.zeros(NODES)
-
-    def without(self, points: Points) -> Points:
-        """The points with the learnt bias subtracted."""
-        learnt = self._learnt.get(points.scan.sensor)
-        if learnt is None:  # not setdefault: the prior takes as long as half a scan
-            learnt = self._learnt[points.scan.sensor] = _Learnt()
-        xy_raw, xy_base = np.empty_like(points.xy_raw), np.empty_like(points.xy_base)
-        subtract_bias(
-            points.xy_raw, points.xy_base, points.sensor_xy_m, learnt.curve_m, NODE_M, xy_raw, xy_base
-        )
-        return points._replace(xy_base=xy_base, xy_raw=xy_raw)
+        return self._learnt[sensor].curve_m
 
     def is_due(self, sensor: str, travel_m: float, step_m: float) -> bool:
         """Whether step_m was travelled since the last update; adds travel_m."""
@@ -96,7 +86,6 @@ class RangeBias:
             laser,
             grid,
             settings,
-            NODE_M,
             information,
             weighted,
         )

@@ -13,6 +13,7 @@ from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
 from service.kernels.static_score import (
     ENTERED_FREE,
     Observations,
+    StaticScoreSettings,
     count_hits,
     remove_by_ray_cast,
     weigh_static_score,
@@ -38,10 +39,8 @@ from service.kernels.tiles import NO_TILE
 from service.mapper.components import MapChange, Match, Points, Standing
 from service.mapper.judgement import too_few
 from service.mapper.maps.tiles import Layer, TileMap, TilePool, reach_of
-from service.mapper.scan_match.dynamic_filter import DynamicFilterConfig, ticks_in
 from service.mapper.scan_match.narrow_walls import NarrowWalls, narrow_wall_pool
-from service.mapper.scan_match.posts import Posts, posts_of
-from service.mapper.walls import walls_of
+from service.mapper.scan_match.posts import Posts, posts_of, walls_seen
 
 FIRST_SCANS = 25  # of a map, inserted even at standstill: half a second of a 50 Hz laser
 SURFEL_COUNT_LIMIT = 1000.0  # points of one laser that a surfel averages over, so that it follows changes
@@ -50,7 +49,6 @@ FIELD_SIGMA_M = 0.15  # of a point in the coarse field: wide enough to attract a
 SATURATED_LIKELIHOOD = 0.95  # likelihood of a cell above which more points are skipped
 SUBMAP_POOL_TILES = 16_384  # 1.3 GB of address space; a sub-map in a large hall touches a few hundred tiles
 FINE_POOL_TILES = 32_768  # 2.1 GB of address space: walls touch twice as many
-GRAZING_WEIGHT = 5.0  # limit of a point's weight at grazing incidence; head-on it is 1
 NEW_SEGMENT_ERROR = 0.01  # factor on the pose's error against the map, of a segment that begins at the pose
 MAX_MISSES = 3  # then another segment is begun
 # What is seen over so much of the path is static: no object moves along for longer. In a cell that was free
@@ -58,6 +56,23 @@ MAX_MISSES = 3  # then another segment is begun
 STATIC_PATH_M, ARRIVED_PATH_M = 1.0, 3.0
 MARK_M = 0.05  # of the path, from one mark to the next
 MAX_MARK = int(ENTERED_FREE) - 1  # the flag lies above all marks
+TICK_S = 0.05  # unit of the static score
+FREE_S = 0.25  # an object in a free cell must stay this long: a person of 0.3 m has left it by then
+MIN_NEW_WEIGHT = 0.1  # of a new object over a static one: enough where nothing else is in view
+MAX_GAIN = 2.0  # limit of the rescaling of weights: few points do not become many
+BEAM_STEP = 3  # every third beam is traced, another third at each key frame
+
+
+class DynamicFilterConfig(Section):
+    """When an object counts fully, and when it is removed."""
+
+    enough_s: float = Field(default=1.0, ge=0.0, le=6.0)  # 0: no dynamic filter
+    behind_m: float = Field(default=0.2, gt=0.0)
+
+    def settings(self) -> StaticScoreSettings:
+        return StaticScoreSettings(
+            ticks_in(self.enough_s), ticks_in(FREE_S), MIN_NEW_WEIGHT, MAX_GAIN, self.behind_m, BEAM_STEP
+        )
 
 
 class SubmapsConfig(Section):
@@ -78,7 +93,7 @@ class Submap:
         self, number: int, pool: TilePool, fine: TilePool, narrow: TilePool, config: SubmapsConfig
     ) -> None:
         self.number = number
-        self.narrow_walls = NarrowWalls(narrow, config.cell_m, GRAZING_WEIGHT)
+        self.narrow_walls = NarrowWalls(narrow, config.cell_m)
         self.scan_count = 0
         self.keyframe_distance_m = config.keyframe_distance_m  # scans within it match the same noise
         self._last_ns: int | None = None  # of its newest key frame
@@ -251,6 +266,10 @@ class Submap:
         self.narrow_walls.release()
 
 
+def ticks_in(time_s: float) -> int:
+    return round(time_s / TICK_S)
+
+
 def _mark_at(path_m: float) -> int:
     """Path mark of a sub-map, from 1 on; 0 before its beginning."""
     return min(1 + math.floor(path_m / MARK_M), MAX_MARK) if path_m >= 0.0 else 0
@@ -295,6 +314,7 @@ class SurfelSubmaps:
         self._travelled_m = 0.0  # since the younger of the pair was begun
         self._last_keyframe: SE2 | None = None
         self._lasers: dict[str, int] = {}
+        self._no_bias = np.zeros(1)  # of ranges: the points of a match are without it
         self._last_of: dict[str, SE2] = {}  # by laser: each sees another part of the scene
 
     @property
@@ -343,15 +363,6 @@ class SurfelSubmaps:
     @property
     def tile_count(self) -> int:
         return self._pool.used_count + self._fine_pool.used_count
-
-    def on_walls(self, points: Points) -> tuple[Points, Floats]:
-        """The points, shifted along their walls to where their beams meet them, and (N, 3) normals."""
-        sensor = points.sensor_base
-        xy_base, normals = walls_of(
-            points.xy_base, (sensor.x_m, sensor.y_m), points.spacing_rad, points.range_sigma_m, GRAZING_WEIGHT
-        )
-        xy_raw = points.xy_raw + (xy_base - points.xy_base)  # some cm; rotation within the sweep neglected
-        return points._replace(xy_base=xy_base, xy_raw=xy_raw), normals
 
     def insert(self, points: Points, match: Match) -> MapChange:
         if not len(points.xy_base):
@@ -431,10 +442,10 @@ class SurfelSubmaps:
         self._last_keyframe = pose
 
     def _insert_keyframe(self, submaps: list[Submap], points: Points, pose: SE2) -> None:
-        posts = posts_of(points)
-        points, normals = self.on_walls(points)
+        _, on_walls, normals, has_posts = walls_seen(points, self._no_bias)
+        posts = posts_of(points) if has_posts else None
         for submap in submaps:
-            submap.insert(points, normals, posts, pose, self.laser_of(points.scan.sensor))
+            submap.insert(on_walls, normals, posts, pose, self.laser_of(points.scan.sensor))
 
     def new_submap(self) -> Submap:
         """An empty one, in no chain yet."""

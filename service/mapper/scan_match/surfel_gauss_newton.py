@@ -44,10 +44,10 @@ from service.mapper.matchers.window_search import (
     search_around,
 )
 from service.mapper.scan_match.attempt import Aligned, Attempt, chi2_of, turned_about
-from service.mapper.scan_match.inertia import SteadyMotion, velocity_variance
 from service.mapper.scan_match.moving_scene import MovingScene
-from service.mapper.scan_match.posts import Posts, posts_of
+from service.mapper.scan_match.posts import Posts, SeenWalls, posts_of, walls_seen
 from service.mapper.scan_match.range_bias import RangeBias
+from service.mapper.scan_match.reckoning import SteadyMotion, velocity_variance
 from service.mapper.scan_match.submaps import SURFEL_SIGMA_M, Submap, SurfelSubmaps
 from service.mapper.surfel_alignment import ALIGNMENT
 from service.outputs import Reason, State
@@ -116,7 +116,8 @@ class SurfelGaussNewton:
         return self._bias.curve_m(sensor)
 
     def match(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Match:
-        points = self._bias.without(points)
+        seen = walls_seen(points, self._bias.curve_m(points.scan.sensor))
+        points = seen.points
         if reason := too_few(points):
             return unmatched(points, predicted, reason)
         submap = local_map.matched_to
@@ -129,7 +130,7 @@ class SurfelGaussNewton:
                 self._gap, self._segment_covariance = None, np.zeros((3, 3))
             else:  # a new segment at the predicted pose
                 self._gap = self._began
-        match = self._matched(self._attempt(points, predicted, local_map), local_map, submap)
+        match = self._matched(self._attempt(seen, predicted), local_map, submap)
         if match.measured is not None:
             self._steady.matched(points.scan.stamp_ns, match.measured.pose_odom_base)
         return match
@@ -139,37 +140,38 @@ class SurfelGaussNewton:
 
         Farther away more of a scan on new ground may lie on the map, because walls look alike.
         """
-        points = self._bias.without(points)
+        seen = walls_seen(points, self._bias.curve_m(points.scan.sensor))
+        points = seen.points
         if reason := too_few(points):
             return unmatched(points, predicted, reason)
-        if local_map.matched_to is None:
+        submap = local_map.matched_to
+        if submap is None:
             return begun(points, predicted)
-        attempt, aligned = self._aligned_near(points, predicted, local_map, local_map.matched_to)
+        attempt, aligned = self._aligned_near(seen, predicted, submap)
         if aligned.state == "lost":
             return unmatched(points, predicted, aligned.reason, aligned.result.share, aligned.is_contradicted)
-        turned_attempt, turned = self._aligned_near(
-            points, turned_about(points.sensor_base, predicted), local_map, local_map.matched_to
-        )
+        turned_about_sensor = turned_about(points.sensor_base, predicted)
+        turned_attempt, turned = self._aligned_near(seen, turned_about_sensor, submap)
         match = self._as_match(aligned, attempt, aligned.state, aligned.reason)
         return match._replace(advantage=aligned.agreement(attempt) - turned.agreement(turned_attempt))
 
     def _aligned_near(
-        self, points: Points, predicted: Prediction, local_map: SurfelSubmaps, submap: Submap
+        self, seen: SeenWalls, predicted: Prediction, submap: Submap
     ) -> tuple[Attempt, Aligned]:
-        attempt = self._attempt(points, predicted, local_map)
+        attempt = self._attempt(seen, predicted)
         aligned = self._align(attempt, attempt.prior.pose, submap)
         if chi2_of(aligned.pose, attempt.prior) > JUMP_CHI2:
             attempt = attempt._replace(usual_ratio=0.0)  # no other initial pose is tried
             aligned = self._align(attempt, attempt.prior.pose, submap)
         return attempt, aligned
 
-    def _attempt(self, points: Points, predicted: Prediction, local_map: SurfelSubmaps) -> Attempt:
-        on_walls, normals = local_map.on_walls(points)
+    def _attempt(self, seen: SeenWalls, predicted: Prediction) -> Attempt:
+        points, on_walls, normals, has_posts = seen
         prior = _prior_of(predicted, self._gap)
         usual = self._usual_ratios.get(points.scan.sensor, 1.0)
         open_s, path_m = self._since_fix
         since_fix = open_s + predicted.elapsed_s, path_m + predicted.travel_m
-        stamp_ns, posts = points.scan.stamp_ns, posts_of(points)
+        stamp_ns, posts = points.scan.stamp_ns, posts_of(points) if has_posts else None
         return Attempt(stamp_ns, on_walls, points, normals, posts, predicted, prior, usual, since_fix)
 
     def _matched(self, attempt: Attempt, local_map: SurfelSubmaps, submap: Submap) -> Match:

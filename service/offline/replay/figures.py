@@ -13,6 +13,7 @@ import numpy as np
 
 from drivers.counted import counted
 from drivers.frames import Frame
+from service.mapper.components import Stopwatch
 from service.outputs import MapperOutput
 from service.timing.timing import KINDS
 from service.timing.words import kind_of
@@ -24,8 +25,8 @@ STATES = ("degraded", "lost")
 MAX_KINDS = 5  # of reasons, of each state
 
 
-class ComponentTimes:
-    """Stopwatch of the mapper's components."""
+class ComponentTimes(Stopwatch):
+    """Times of the mapper's components."""
 
     def __init__(self) -> None:
         self.laps_ns: defaultdict[str, list[int]] = defaultdict(list)

@@ -66,7 +66,7 @@ def directed(walls: NarrowWalls, points: Points) -> np.ndarray:
 @pytest.mark.parametrize("lasers", [("front",), ("front", "rear")])
 def test_each_laser_goes_into_both_halves(lasers: tuple[str, ...]) -> None:
     """Else two lasers by turns would have a half each, and a scan of one would meet no wall of its own."""
-    noise, walls = np.random.default_rng(1), NarrowWalls(narrow_wall_pool(64), 0.1, 5.0)
+    noise, walls = np.random.default_rng(1), NarrowWalls(narrow_wall_pool(64), 0.1)
     for k in range(30 * len(lasers)):
         points = rough_face(noise, lasers[k % len(lasers)])
         walls.insert(points, rough(points), np.zeros(3))
@@ -78,7 +78,7 @@ def test_each_laser_goes_into_both_halves(lasers: tuple[str, ...]) -> None:
 
 def test_map_and_match_take_directions_from_different_key_frames() -> None:
     """Else the noise of one direction would be in both, and pass for information."""
-    noise, walls = np.random.default_rng(3), NarrowWalls(narrow_wall_pool(64), 0.1, 5.0)
+    noise, walls = np.random.default_rng(3), NarrowWalls(narrow_wall_pool(64), 0.1)
     xy = np.column_stack((6.04 + 0.01 * noise.uniform(-1.0, 1.0, 30), noise.uniform(1.05, 1.2, 30)))
     points = points_of(xy)
     walls.insert(points, rough(points), np.zeros(3))

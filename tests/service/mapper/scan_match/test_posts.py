@@ -10,7 +10,7 @@ from drivers.frames import NO_INTENSITY, LaserScan
 from service.geometry.se2 import SE2
 from service.mapper.components import Points
 from service.mapper.profiles import mapping_config
-from service.mapper.scan_match.posts import posts_of
+from service.mapper.scan_match.posts import posts_of, walls_seen
 from simulators.trajectory import Follow, plan_drive
 from simulators.truth import LMS100
 from simulators.world import Plan, World, make_world
@@ -43,8 +43,8 @@ def seen(posts: list[tuple[float, float, float]], wall_m: float = math.inf) -> P
 
 
 def found(points: Points) -> np.ndarray:
-    seen_whole = posts_of(points)
-    return np.zeros((0, 2)) if seen_whole is None else seen_whole.xy_raw
+    has_posts = walls_seen(points, np.zeros(1)).has_posts
+    return posts_of(points).xy_raw if has_posts else np.zeros((0, 2))
 
 
 @pytest.mark.parametrize("radius_m", [0.06, 0.12, 0.25])
@@ -89,7 +89,7 @@ def on_each_second_beam(points: Points) -> Points:
 
 
 def test_a_wall_seen_on_each_second_beam_is_no_row_of_posts():
-    assert posts_of(on_each_second_beam(seen([], wall_m=3.0))) is None
+    assert not walls_seen(on_each_second_beam(seen([], wall_m=3.0)), np.zeros(1)).has_posts
 
 
 def wood() -> World:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from drivers.frames import LaserScan
+from service.kernels.range_bias import NODE_M
 from service.mapper.profiles import mapping_config
-from service.mapper.scan_match.range_bias import NODE_M, NODES
+from service.mapper.scan_match.range_bias import NODES
 from simulators.trajectory import Limits
 from simulators.worlds import WORLDS
 from simulators.worlds.mall import mall

@@ -9,6 +9,7 @@ import pytest
 from service.estimator.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
+from service.mapper.scan_match.posts import walls_seen
 from service.mapper.scan_match.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.scan_match.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
 from service.offline.replay.replay import ReplayOptions, replay
@@ -240,7 +241,7 @@ def test_points_are_matched_where_their_beams_meet_walls_and_come_back_as_they_w
     noisy = points_of(room.xy_base + 0.04 * noise.standard_normal((len(beams), 1)) * beams)
     noisy = noisy._replace(range_sigma_m=0.04)
     chain = mapped(room)
-    assert np.abs(chain.on_walls(noisy)[0].xy_base - noisy.xy_base).max() > 0.02
+    assert np.abs(walls_seen(noisy, np.zeros(1)).on_walls.xy_base - noisy.xy_base).max() > 0.02
     found = match(noisy, SE2(), chain)
     assert found.state == "ok"
     np.testing.assert_allclose(found.points.xy_base, noisy.xy_base, atol=1e-9)
