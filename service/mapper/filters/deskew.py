@@ -58,7 +58,7 @@ class DeskewByTwist:
         self._config = config
         self._outline_m = np.array(outline_m, np.float64).reshape(-1, 2)
         self._mountings = dict(mountings)
-        self._noise: dict[str, tuple[int, float]] = {}
+        self._noise: dict[str, tuple[int, float]] = {}  # scans, and their mean range noise, m
         self._beams: dict[tuple[str, float, float, float, float, int], _Beams] = {}
 
     def moment_of(self, scan: LaserScan) -> int:
@@ -85,22 +85,17 @@ class DeskewByTwist:
             range_m, beams.direction, beams.xy_m, beams.gate_m, self._outline_m, interval_s, late_s, returns
         )
         xy_raw, beam_time_s, beam = returns.xy_raw[:count], returns.beam_time_s[:count], returns.beam[:count]
-        sigma_m = self._noise_of(scan.sensor, noise_m)
+        scans, sigma_m = self._noise.get(scan.sensor, (0, UNKNOWN_NOISE_M))
+        if noise_m > 0.0:
+            scans = min(scans + 1, NOISE_SCANS)
+            sigma_m += (max(noise_m, MIN_NOISE_M) - sigma_m) / scans
+            self._noise[scan.sensor] = scans, sigma_m
         xy_base = np.empty((count, 2))
         self._deskew(beam_time_s, xy_raw, motion, xy_base)
         return Points(xy_base, xy_raw, beam_time_s, beam, beams.mounting, scan, sigma_m, gap)
 
     def _deskew(self, beam_time_s: Floats, xy_raw: Floats, motion: Motion, xy_base: Floats) -> None:
         deskew_points(xy_raw, beam_time_s, np.array(motion.twist_base), xy_base)
-
-    def _noise_of(self, sensor: str, shown_m: float) -> float:
-        """Mean range noise over at most the newest NOISE_SCANS scans."""
-        count, mean_m = self._noise.get(sensor, (0, UNKNOWN_NOISE_M))
-        if shown_m > 0.0:
-            count = min(count + 1, NOISE_SCANS)
-            mean_m += (max(shown_m, MIN_NOISE_M) - mean_m) / count
-            self._noise[sensor] = count, mean_m
-        return mean_m
 
     def _beams_of(self, scan: LaserScan, offset: SE2 | None) -> _Beams:
         mounting = self._mountings.get(scan.sensor)

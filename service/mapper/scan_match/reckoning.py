@@ -3,8 +3,9 @@
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +27,7 @@ MATCH_SIGMA_M, MATCH_SIGMA_RAD = 0.005, 0.003  # of the ends of the matched path
 MATCH_COVARIANCE = np.diag([MATCH_SIGMA_M**2, MATCH_SIGMA_M**2, MATCH_SIGMA_RAD**2])  # (3, 3), base axes
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
+class _Step(NamedTuple):
     """Both paths at one scan."""
 
     stamp_ns: int
@@ -74,7 +74,7 @@ class Reckoning:
             return None
         steps, step = self._steps, predicted.increment or by_speed(predicted)
         if steps[-1].stamp_ns == stamp_ns:  # the same scan, matched again
-            steps[-1] = replace(steps[-1], matched=matched)
+            steps[-1] = steps[-1]._replace(matched=matched)
             return _conflict(steps[0], steps[-1])
         last = steps[-1]
         newest = _Step(
