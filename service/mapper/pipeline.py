@@ -26,11 +26,10 @@ from service.mapper.components import (
     Stopwatch,
 )
 from service.mapper.judgement import drift_of, is_motion_unmeasured, of_laser, too_few
-from service.mapper.localisation import Localisation
+from service.mapper.localisation import Localisation, SegmentMotion
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.occupancy import draw_standing
 from service.mapper.saved_graph import KeptGraph, SavedGraph
-from service.mapper.segment_motion import SegmentMotion
 from service.outputs import NO_REASON, GraphPicture, Grid, MapperOutput, Reason, TileUpdate
 
 MAX_BEHIND_NS = 300_000_000  # of a sweep's start before the newest pose: latency and a slow laser

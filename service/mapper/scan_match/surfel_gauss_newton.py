@@ -17,6 +17,7 @@ from service.kernels.likelihood import LikelihoodField
 from service.kernels.match import MIN_PRIOR_WEIGHT, MatchResult, Prior, match_scan
 from service.kernels.normals import ROUGH_WEIGHT
 from service.mapper.components import Match, Points
+from service.mapper.graph.model.point_clouds import ALIGNMENT
 from service.mapper.judgement import (
     GAP_S,
     JUMP_CHI2,
@@ -49,7 +50,6 @@ from service.mapper.scan_match.posts import Posts, SeenWalls, posts_of, walls_se
 from service.mapper.scan_match.range_bias import RangeBias
 from service.mapper.scan_match.reckoning import SteadyMotion, velocity_variance
 from service.mapper.scan_match.submaps import SURFEL_SIGMA_M, Submap, SurfelSubmaps
-from service.mapper.surfel_alignment import ALIGNMENT
 from service.outputs import Reason, State
 
 Matrix = npt.NDArray[np.float64]

@@ -13,9 +13,9 @@ def test_points_come_nearer_to_where_their_beams_meet_the_wall() -> None:
     beams = np.column_stack((np.cos(BEARING_RAD), np.sin(BEARING_RAD)))
     sensor = np.array([0.2, 0.0])
     seen = sensor + meets + noise_m[:, None] * beams
-    walls = walls_of(seen, (0.2, 0.0), np.radians(0.5), SIGMA_M)
-    off, off_before = (xy[:, 1] - meets[:, 1] for xy in (walls.xy_base, seen))
+    moved, normals = walls_of(seen, (0.2, 0.0), np.radians(0.5), SIGMA_M)
+    off, off_before = (xy[:, 1] - meets[:, 1] for xy in (moved, seen))
     aslant = np.abs(BEARING_RAD) > 0.5
     assert np.std(off[aslant]) < 0.6 * np.std(off_before[aslant])
-    np.testing.assert_allclose(walls.xy_base[:, 0], seen[:, 0], atol=0.02)
-    assert (walls.normals[:, 0] < 0.0).all()  # towards the sensor
+    np.testing.assert_allclose(moved[:, 0], seen[:, 0], atol=0.02)
+    assert (normals[:, 0] < 0.0).all()  # towards the sensor

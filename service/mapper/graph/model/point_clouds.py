@@ -11,18 +11,34 @@ from service.geometry import poses as se2
 from service.geometry.grid import tiles_of
 from service.geometry.poses import Floats
 from service.kernels import surfels
+from service.kernels.filter_state import STUDENT
 from service.kernels.loops import align_surfels
 from service.kernels.match import MatchSettings
-from service.kernels.surfels import SurfelGrid, insert_surfels
+from service.kernels.surfels import MIN_NORMAL_COSINE, SurfelGrid, insert_surfels
 from service.mapper.maps.tiles import Layer, TileMap, TilePool
 from service.mapper.saved_graph import POINT_STEP_M, USUAL_RANGE_SIGMA_M
-from service.mapper.surfel_alignment import ALIGNMENT
 
 CELL_M = 0.10  # of the surfels of key frames
 CLOUD_COUNT_LIMIT = 50.0  # limit of the points counted in a surfel of key frames
 CLOUD_POOL_TILES = 4096
 BLOCK_CELLS = 10.0  # edge of the blocks by which points are sorted: neighbouring normals share noise
 NO_FIELD: npt.NDArray[np.float32] = np.zeros((CLOUD_POOL_TILES, 1, 1), np.float32)  # not read here
+# Of Gauss-Newton on surfels; the scan match shares them.
+ALIGNMENT = MatchSettings(
+    range_sigma_m=USUAL_RANGE_SIGMA_M,
+    surfel_sigma_m=USUAL_RANGE_SIGMA_M,
+    wall_sigma_m=0.006,
+    repeats=1.0,
+    chance_chi2=0.0,
+    information_chance_chi2=0.0,
+    cauchy_m=0.10,
+    least_normal_cosine=MIN_NORMAL_COSINE,
+    iterations=15,
+    inlier_m=0.10,  # largest distance of an inlier from its surfel
+    settled_m=0.0005,  # a smaller step ends the alignment
+    settled_rad=0.0001,
+    degrees_of_freedom=STUDENT,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -41,7 +41,7 @@ def information_across(
     """
     sensor_xy_m = (points.sensor_base.x_m, points.sensor_base.y_m)
     step_rad = abs(points.scan.angle_step_rad)
-    normals = walls_of(points.xy_base, sensor_xy_m, step_rad, points.range_sigma_m).normals
+    _, normals = walls_of(points.xy_base, sensor_xy_m, step_rad, points.range_sigma_m)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     across = _along_axes(normals[:, :2] @ np.array([[c, s], [-s, c]]))
     along_x, along_y = (segment != NO_SEGMENT).T

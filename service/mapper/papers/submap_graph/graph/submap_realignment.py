@@ -79,4 +79,4 @@ def align_cloud(cloud: PointCloud, surfels: SurfelSet, shift: Floats, most_point
 
 def _cloud(scan: InsertedScan) -> PointCloud:
     xy = scan.xy_base.astype(np.float64)
-    return cloud_with_noise(xy, walls_of(xy, scan.sensor_xy_m, scan.angle_step_rad, 0.01).normals)
+    return cloud_with_noise(xy, walls_of(xy, scan.sensor_xy_m, scan.angle_step_rad, 0.01)[1])
