@@ -37,6 +37,7 @@ NEW_STEPS = 4  # between two evaluations of that
 MIN_OPPOSED_RAD = 3.0  # total rotation before opposed rotations are significant
 MAX_SCALE = 2.0  # or its inverse: beyond, odometry is unusable for this check
 AXLE_TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: of axle and mounting by hand
+NO_EXCESS = np.ones(2)
 KNOWN_SIGMA_M = 1.0  # of the centre of rotation: a path without turns does not show it
 
 
@@ -45,7 +46,7 @@ class Offset(NamedTuple):
 
     offset: Floats  # (3,) x, y m and yaw rad
     covariance: Floats  # (3, 3)
-    excess: float  # factor on the assumed variance of a step
+    excess: Floats  # (2,) factors on the assumed variance of a step, along and across it
 
 
 class OdometryMounting:
@@ -57,7 +58,7 @@ class OdometryMounting:
         self._waiting: tuple[int, SE2] | None = None  # a pose newer than odometry
         self._last: tuple[int, SE2, SE2] | None = None  # end of the last step: stamp, by scans, by odometry
         self._steps = np.empty((0, 6))  # the newest; as of fault_of
-        self._excess = 1.0  # least factor on the assumed variance of a step
+        self._excess = NO_EXCESS  # least factors on the assumed variance of a step
         self._count = 0  # of steps
 
     def add_odometry(self, sample: OdometrySample) -> None:
@@ -132,7 +133,7 @@ class OdometryMounting:
         return None
 
 
-def fault_of(steps: Floats, min_excess: float = 1.0) -> Reason:
+def fault_of(steps: Floats, min_excess: Floats = NO_EXCESS) -> Reason:
     """The fault that steps show; NO_REASON where scans and odometry agree.
 
     steps   (K, 6) x, y m and theta rad by scan matching, then by odometry, in the base at their start
@@ -188,13 +189,13 @@ def turns_are_opposed(steps: Floats) -> bool:
     return 1.0 / MAX_SCALE <= -ratio <= MAX_SCALE
 
 
-def offset_of(steps: Floats, min_excess: float = 1.0) -> Offset | None:
+def offset_of(steps: Floats, min_excess: Floats = NO_EXCESS) -> Offset | None:
     """The offset that steps (K, 6) as of fault_of show; None where odometry is dead or its scale far from 1.
 
-    min_excess   least factor on the assumed variance of a step
+    min_excess   (2,) least factors on the assumed variance of a step, as of Offset
     """
-    unknown, covariance = np.empty(4), np.empty((4, 4))
-    excess = fit_step_offset(np.ascontiguousarray(steps), min_excess, unknown, covariance)
+    unknown, covariance, excess = np.empty(4), np.empty((4, 4)), min_excess.copy()
+    fit_step_offset(np.ascontiguousarray(steps), excess, unknown, covariance)
     inverse_scale = math.hypot(unknown[0], unknown[1])
     if not 1.0 / MAX_SCALE <= inverse_scale <= MAX_SCALE:
         return None

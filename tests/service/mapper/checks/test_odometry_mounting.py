@@ -149,12 +149,26 @@ def noisy_headings() -> np.ndarray:
     return np.column_stack([matched, np.full(400, 3.0), np.zeros(400), np.diff(heading)])
 
 
+def with_late_stamps(count: int) -> np.ndarray:
+    """In a curve, each tenth end of a step 0.15 s late at 1.4 m/s; the others by 0.02 s at most."""
+    random = np.random.default_rng(6)
+    late_m = np.where(np.arange(count + 1) % 10 == 4, 0.2, 0.03 * random.uniform(-1.0, 1.0, count + 1))
+    turn_rad = np.where(np.arange(count) % 4 == 0, 0.12, 0.07)
+    matched = np.column_stack([np.full(count, 0.35), random.normal(0.0, 0.005, count), turn_rad])
+    driven = np.column_stack([0.35 + np.diff(late_m), np.zeros(count), turn_rad])
+    return np.column_stack([matched, driven])
+
+
 DEAD = np.column_stack([np.full(50, 0.2), np.zeros(50), np.full(50, 0.1), np.zeros((50, 3))])
 
 
 @pytest.mark.parametrize("steps", [slipping(), noisy_headings(), DEAD], ids=["slip", "headings", "dead"])
 def test_errors_of_odometry_show_no_mounting(steps: np.ndarray):
     assert fault_of(steps) == ""
+
+
+def test_late_stamps_in_a_curve_show_no_mounting():
+    assert {fault_of(with_late_stamps(count)) for count in range(5, 80)} == {""}
 
 
 @pytest.mark.parametrize(("is_mirrored", "is_named"), [(True, True), (False, False)])
