@@ -51,6 +51,36 @@ def any_exists_since(slots, first_row, first_column, observations, row, column, 
 
 
 @inner_kernel
+def was_free_behind(x, y, normal, c, s, grid, observations):
+    """Whether the cell behind a point was free before; without a normal, all 3 x 3 cells around the point.
+
+    Where a wall comes into view at grazing incidence, beams passed through part of its cells, not behind it.
+
+    x, y     float           the point, m, frame of the grid
+    normal   (3,)  float64   of the point, from estimate_normals, base frame
+    c, s     float           cosine and sine of the heading of the base in the frame of the grid
+    """
+    slots = grid.tiles.slots
+    first_row = grid.tiles.origin[0]
+    first_column = grid.tiles.origin[1]
+    u = x / grid.cell_m
+    v = y / grid.cell_m
+    reach = 1
+    if normal[2] > 0.0:
+        u -= c * normal[0] - s * normal[1]
+        v -= s * normal[0] + c * normal[1]
+        reach = 0
+    row = math.floor(v)
+    column = math.floor(u)
+    for r in range(row - reach, row + reach + 1):
+        for q in range(column - reach, column + reach + 1):
+            slot = slot_of(slots, first_row, first_column, r, q)
+            if slot == NO_TILE or observations.since[slot, r & TILE_MASK, q & TILE_MASK, 0] < ENTERED_FREE:
+                return False
+    return True
+
+
+@inner_kernel
 def passes_wall_since(x, y, dx, dy, grid, observations, latest, behind_m):
     """Whether a beam passes through a wall that exists since a path mark or before.
 
@@ -92,7 +122,8 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, observations,
     grid          SurfelGrid
     observations  Observations
     behind_m      float            as in passes_from_front
-    Returns (in free space, behind a wall). Points with an occupied cell in their 3 x 3 cells are in neither.
+    Returns (in free space, behind a wall). Points with an occupied cell in their 3 x 3 cells are in neither;
+    in free space are those of which was_free_behind is true.
     """
     score = observations.score
     slots = grid.tiles.slots
@@ -101,6 +132,8 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, observations,
     cells_per_m = 1.0 / grid.cell_m
     xy = placed(xy_base, pose)
     x, y = placed(sensor_xy_m.reshape(1, 2), pose)[0]
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
     in_free = 0
     behind = 0
     for i in range(xy_base.shape[0]):
@@ -113,7 +146,7 @@ def count_contradicting(xy_base, sensor_xy_m, normals, pose, grid, observations,
         if max_score_around(slots, first_row, first_column, score, row, column) > 0:
             continue
         if score_at(slots, first_row, first_column, score, row, column) < 0:
-            in_free += 1
+            in_free += was_free_behind(xy[i, 0], xy[i, 1], normals[i], c, s, grid, observations)
             continue
         behind += passes_wall_since(x, y, dx, dy, grid, observations, np.int64(ENTERED_FREE), behind_m)
     return in_free, behind
@@ -169,20 +202,22 @@ def static_residuals(
             residual_m[i] = found[i, 2] * (xy[i, 0] - found[i, 0]) + found[i, 3] * (xy[i, 1] - found[i, 1])
 
 
-@kernel(Float64_2D, Float64_1D, SurfelGrid, Observations, int, Bool_1D)
-def find_dynamic(xy_base, pose, grid, observations, latest, is_dynamic):
+@kernel(Float64_2D, Float64_2D, Float64_1D, SurfelGrid, Observations, int, Bool_1D)
+def find_dynamic(xy_base, normals, pose, grid, observations, latest, is_dynamic):
     """Mark points on dynamic objects: in free space, or in cells occupied only recently.
 
     Arguments as in count_contradicting, and
 
     latest       int         path mark; cells occupied later are recent
-    is_dynamic   (N,) bool   out; False beside an older wall
+    is_dynamic   (N,) bool   out; False beside an older wall, and where was_free_behind is
     """
     slots = grid.tiles.slots
     first_row = grid.tiles.origin[0]
     first_column = grid.tiles.origin[1]
     cells_per_m = 1.0 / grid.cell_m
     xy = placed(xy_base, pose)
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
     for i in range(xy_base.shape[0]):
         is_dynamic[i] = False
         row = math.floor(xy[i, 1] * cells_per_m)
@@ -195,7 +230,7 @@ def find_dynamic(xy_base, pose, grid, observations, latest, is_dynamic):
         if score < 0 or (score > 0 and since >= ENTERED_FREE):
             is_dynamic[i] = not any_exists_since(
                 slots, first_row, first_column, observations, row, column, latest
-            )
+            ) and was_free_behind(xy[i, 0], xy[i, 1], normals[i], c, s, grid, observations)
 
 
 @kernel(Float64_2D, Float64_1D, Float64_1D, SurfelGrid, Observations, int, float)

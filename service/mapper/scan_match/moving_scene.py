@@ -165,7 +165,9 @@ class MovingScene:
             is_off_walls = _share_on_walls_only_at(static, aligned, attempt) >= OUTLIER_SHARE
             is_moving_known = is_seen_moving and aligned.submap.knows_static
             nats += PRIOR_NATS if is_off_walls or is_moving_known else -PRIOR_NATS
-        if nats >= 0.0:
+        # Static returns that fix the pose and contradict odometry as well confirm the entire scan.
+        contradicts = conflict is not None and chi2_of(static.pose, prior) > CHI2_999_OF_3
+        if nats >= 0.0 and not (contradicts and self._is_fixed(static)):
             return self._start(static, attempt)
         if conflict is not None and share > 0.0:  # in a map's first metre later scans may still decide
             self._reckoning.restart(attempt.stamp_ns, aligned.pose)
@@ -286,7 +288,7 @@ class MovingScene:
         information that they give about some direction. In a bare corridor few decide how far it goes along.
         """
         xy_base, pose = aligned.xy_base, aligned.result.pose
-        is_dynamic = aligned.submap.on_dynamic(xy_base, pose)
+        is_dynamic = aligned.submap.on_dynamic(xy_base, attempt.normals, pose)
         if is_dynamic.mean() >= OUTLIER_SHARE:
             return True
         if not self._reckoning.is_silent:
@@ -327,7 +329,7 @@ def _classified(
                     static only if it was there before; a laser alone may have nothing else to go by
     """
     is_static = np.isfinite(submap.static_residuals(xy_base, attempt.normals, pose))
-    is_moving = submap.on_dynamic(xy_base, pose) & ~is_static
+    is_moving = submap.on_dynamic(xy_base, attempt.normals, pose) & ~is_static
     group = np.empty(len(xy_base), np.int64)
     sigma_m = np.full(len(xy_base), attempt.points.range_sigma_m)
     count = group_by_wall(attempt.points.xy_base, attempt.normals, sigma_m, group)

@@ -148,10 +148,10 @@ class Submap:
         static_residuals(xy_base, normals, pose, grid, observations, MIN_NORMAL_COSINE, *latest, residual_m)
         return residual_m
 
-    def on_dynamic(self, xy_base: Floats, pose: Floats) -> npt.NDArray[np.bool_]:
+    def on_dynamic(self, xy_base: Floats, normals: Floats, pose: Floats) -> npt.NDArray[np.bool_]:
         """(N,) whether points are in cells not occupied over STATIC_PATH_M of the path."""
         is_dynamic = np.zeros(len(xy_base), np.bool_)
-        find_dynamic(xy_base, pose, self.grid(), self._observations(), self._static_mark, is_dynamic)
+        find_dynamic(xy_base, normals, pose, self.grid(), self._observations(), self._static_mark, is_dynamic)
         return is_dynamic
 
     def beams_through_static(self, points: Points, xy_base: Floats, pose: Floats) -> int:

@@ -1,6 +1,7 @@
 import math
 
 import numpy as np
+import pytest
 
 from service.kernels import tiles
 from service.kernels.static_score import (
@@ -160,9 +161,9 @@ def residuals(
     return residual_m
 
 
-def moved(place: CandidateSubmap, xy: np.ndarray, latest: int) -> np.ndarray:
+def moved(place: CandidateSubmap, xy: np.ndarray, latest: int, normal=(-1.0, 0.0, 1.0)) -> np.ndarray:
     is_dynamic = np.zeros(len(xy), np.bool_)
-    find_dynamic(xy, POSE, place.grid, place.observations, latest, is_dynamic)
+    find_dynamic(xy, np.tile(normal, (len(xy), 1)), POSE, place.grid, place.observations, latest, is_dynamic)
     return is_dynamic
 
 
@@ -186,6 +187,19 @@ def test_points_in_known_free_space_have_moved_and_new_ground_has_not() -> None:
     assert moved(place, near[0], 1).all()
     assert not moved(place, far[0], 1).any()
     assert not moved(place, beyond, 1).any()
+
+
+@pytest.mark.parametrize("weight", [1.0, 0.0])
+def test_a_wall_that_comes_into_view_beside_the_beams_has_not_moved(weight: float) -> None:
+    """Beams have passed through its cells, but not behind it."""
+    place = CandidateSubmap()
+    ahead, normals = wall(3.0, 0.1)
+    for _ in range(12):
+        place.see(ahead, normals)
+    along = np.column_stack([np.linspace(1.5, 2.5, 21), np.linspace(0.14, 0.24, 21)])
+    assert (place.scores(along) < 0).all()
+    assert moved(place, along, 1, (0.1, -0.995, weight)).mean() < 0.3  # border cells are free in part
+    assert moved(place, along - np.array([0.0, 0.15]), 1, (0.1, -0.995, weight)).all()
 
 
 def test_an_object_in_free_space_is_dynamic_until_it_stayed_over_enough_of_the_path() -> None:

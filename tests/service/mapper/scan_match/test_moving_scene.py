@@ -1,17 +1,22 @@
 """Whether part of the scene moves: what stands still, and odometry, against all that the laser sees."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from service.estimator.motion import OdometryIncrement, Prediction
 from service.geometry.se2 import SE2
-from service.mapper.scan_match.moving_scene import evidence_nats
-from service.mapper.scan_match.reckoning import Reckoning
+from service.kernels.match import MatchResult, Prior
+from service.mapper.scan_match.attempt import Aligned, Attempt
+from service.mapper.scan_match.moving_scene import MovingScene, evidence_nats
+from service.mapper.scan_match.reckoning import Reckoning, SteadyMotion
 from service.offline.replay.replay import ReplayOptions, replay
-from service.outputs import State
+from service.outputs import NO_REASON, State
 from tests.accuracy.scene_drives import Case, staged
 from tests.accuracy.scene_judge import Verdict, judge
 from tests.accuracy.scenes import mapped
@@ -68,6 +73,37 @@ def test_evidence_is_for_the_pose_at_which_static_walls_lie() -> None:
     assert nats == pytest.approx(-evidence_nats(off, on_walls, beam))
     assert nats == pytest.approx(10 * 2.2, rel=0.1)  # a measurement for each ten neighbours
     assert evidence_nats(off, off, beam) == 0.0
+
+
+@pytest.mark.parametrize(("turn_deg", "judged_deg"), [(0.1, 0.0), (3.0, 3.0)])
+def test_static_walls_that_contradict_odometry_too_confirm_the_entire_scan(
+    turn_deg: float, judged_deg: float
+) -> None:
+    """Odometry turns by 3 deg, the entire scan does not. The static walls do, or not; some returns move."""
+    count = 200
+    is_moving = np.arange(count) < count // 5
+    residual_m = np.where(is_moving, np.nan, 0.0)
+    submap: Any = SimpleNamespace(
+        static_residuals=lambda *_: residual_m, on_dynamic=lambda *_: is_moving, knows_static=True
+    )
+    xy_base = np.column_stack((np.linspace(-5.0, 5.0, count), np.full(count, 2.0)))
+    normals = np.tile([0.0, -1.0, 1.0], (count, 1))
+    points: Any = SimpleNamespace(xy_base=xy_base, beam=np.arange(count, dtype=np.int32), range_sigma_m=0.01)
+    no: Any = np.zeros((3, 3))
+
+    def aligned(turned_rad: float) -> Aligned:
+        pose = SE2(0.0, 0.0, turned_rad)
+        result = MatchResult(np.array(pose), np.zeros(3), no, no, 1.0, 0.8, 100, 0.002, 0.0)
+        return Aligned(result, pose, xy_base, submap, "ok", NO_REASON, cast(Any, None))
+
+    scene = MovingScene(lambda *_: aligned(math.radians(turn_deg)), SteadyMotion(), 0.1)
+    for k in range(2):
+        step = SE2(0.0, 0.0, k * math.radians(3.0))
+        motion = replace(predicted(step, 0.3), increment=OdometryIncrement(step, 1e-4, 1e-5))
+        prior = Prior(np.zeros(3), np.zeros(3), 1e-4 * np.eye(3), no)
+        attempt = Attempt(k * 300_000_000, points, points, normals, None, motion, prior, 0.8, (0.0, 0.0))
+        judged_pose = scene.judge(aligned(0.0), attempt).pose
+    assert judged_pose.theta_rad == pytest.approx(math.radians(judged_deg))
 
 
 def judged(case: Case) -> tuple[Verdict, State, float]:
