@@ -37,7 +37,7 @@ NEW_STEPS = 4  # between two evaluations of that
 MIN_OPPOSED_RAD = 3.0  # total rotation before opposed rotations are significant
 MAX_SCALE = 2.0  # or its inverse: beyond, odometry is unusable for this check
 AXLE_TOLERANCE = np.diag([0.05, 0.05, math.radians(0.5)]) ** 2  # m, m, rad: of axle and mounting by hand
-NO_EXCESS = np.ones(2)
+NO_EXCESS = np.ones(2)  # factors on the assumed variance: as assumed
 KNOWN_SIGMA_M = 1.0  # of the centre of rotation: a path without turns does not show it
 
 
