@@ -1,7 +1,5 @@
 """What chance explains of squared sigmas, by degrees of freedom."""
 
-import math
-
 CHI2_99_OF_1, CHI2_999_OF_1 = 6.6, 10.8  # 99 and 99.9 % of one degree of freedom
-CHI2_99_OF_2, CHI2_MEDIAN_OF_2 = 9.21, math.log(4.0)
+CHI2_99_OF_2 = 9.21
 CHI2_99_OF_3, CHI2_999_OF_3, CHI2_MEDIAN_OF_3 = 11.3, 16.3, 2.37
