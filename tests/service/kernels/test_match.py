@@ -6,11 +6,11 @@ import pytest
 from service.kernels import scan_information as information_of_scans
 from service.kernels import surfel_equations, surfels
 from service.kernels.deskew import Returns
-from service.kernels.filter_state import STUDENT
 from service.kernels.likelihood import splat_likelihood
 from service.kernels.match import MatchSettings, Prior, match_scan
 from service.kernels.normals import estimate_normals
 from service.kernels.surfels import SurfelGrid, insert_surfels
+from service.mapper.graph.model.point_clouds import ALIGNMENT
 from tests.service.kernels.grids import empty_grid
 from tests.service.kernels.inner import from_python
 
@@ -21,20 +21,8 @@ surfel_normal_equations = from_python(surfel_equations.surfel_normal_equations)
 scan_information = from_python(information_of_scans.scan_information)
 
 SIGMA_M = 0.01  # of a range
-SETTINGS = MatchSettings(
-    range_sigma_m=SIGMA_M,
-    surfel_sigma_m=SIGMA_M,
-    wall_sigma_m=0.004,
-    repeats=1.0,
-    chance_chi2=0.0,
-    information_chance_chi2=0.0,
-    cauchy_m=0.1,
-    least_normal_cosine=0.6,
-    iterations=15,
-    inlier_m=0.1,
-    settled_m=1e-6,
-    settled_rad=1e-7,
-    degrees_of_freedom=STUDENT,
+SETTINGS = ALIGNMENT._replace(
+    range_sigma_m=SIGMA_M, surfel_sigma_m=SIGMA_M, wall_sigma_m=0.004, settled_m=1e-6, settled_rad=1e-7
 )
 STEP_RAD = math.radians(0.5)
 NO_EVIDENCE = np.zeros((0, 7))
