@@ -5,7 +5,6 @@ Model and equations: docs/estimator.md. Arithmetic: service/kernels/estimator.py
 
 import logging
 import math
-from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -13,7 +12,7 @@ from pydantic import Field
 
 from drivers.frames import ImuSample, OdometrySample
 from drivers.section import Section
-from service.estimator.consistent_covariance import ConsistentCovariance
+from service.estimator.consistent_covariance import ConsistentCovariance, StandstillCovariance
 from service.estimator.motion import (
     PAUSE_NS,
     Matrix,
@@ -23,6 +22,7 @@ from service.estimator.motion import (
     Prediction,
     scan_alone,
 )
+from service.estimator.samples import Samples
 from service.estimator.standstill import Standstill
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
@@ -48,13 +48,11 @@ from service.kernels.filter_state import (
 from service.kernels.increments import MAX_SILENT_S
 from service.kernels.source_noise import begin_motion
 from service.kernels.sweep import begin_twist, deskew_sweep, motion_at
-from service.kernels.tracks import SPEED_WINDOW_NS, Track
+from service.kernels.tracks import SPEED_WINDOW_NS
 from service.outputs import NO_REASON, Reason
 
 log = logging.getLogger(__name__)
 
-CAPACITY = 4096
-MAX_SAMPLES = 200_000  # waiting for a scan; above, all between oldest and newest quarter are dropped
 # Factor on the modelled variance, 30 sigma: no noise but a fault, equal in all samples. The odometry of fr079
 # reaches 580, that of csail 1150 where one sample is 46 deg late.
 FAULT_NOISE = 1000.0
@@ -62,7 +60,6 @@ ACCELERATION_S = 0.2  # time constant of an acceleration: a drive reaches its sp
 FADE_S = 1.0  # time constant of a speed that neither scans nor odometry confirm
 NEW_GROUND_M = 0.5  # a rotation of a radian shows as much new ground as this path length
 KEEP_BEFORE_NS = 2_000_000_000  # of samples before the last scan: for the largest lag, and for a speed
-DROPPED_TOGETHER = 64  # samples: a search for the oldest that is needed costs as much as a step
 MAX_SPEED_MPS, MAX_TURN_RADPS = 30.0, 30.0  # of any vehicle: faster odometry has restarted
 WARNING_INTERVAL_NS = 10_000_000_000
 FIRST_TWIST_SIGMA = (1.0, 0.3, 0.5)  # m/s, m/s, rad/s at the first scan, without odometry
@@ -84,74 +81,6 @@ class EstimatorConfig(Section):
     turn_acceleration: float = Field(default=2.0, gt=0.0)  # rad/s per root second
 
 
-@dataclass(slots=True)
-class _Samples:
-    """A growing Track; samples before the last scan are dropped."""
-
-    width: int
-    track: Track = field(init=False)
-    dropped: int = 0  # since the last prediction, because too many waited
-
-    def __post_init__(self) -> None:
-        self.track = Track(
-            np.zeros(CAPACITY, np.int64), np.zeros((CAPACITY, self.width)), np.zeros(2, np.int64)
-        )
-
-    @property
-    def last(self) -> int | None:
-        """Row of the newest sample; None: empty."""
-        first, end = self.track.span.tolist()
-        return end - 1 if end > first else None
-
-    def longest_pause_s(self, since_ns: int, until_ns: int) -> float:
-        """Longest time without a sample between two times, s; 0 where it is at most PAUSE_NS."""
-        first, end = self.track.span.tolist()
-        stamps = np.clip(self.track.stamp_ns[first:end], since_ns, until_ns)
-        longest_ns = int(np.diff(np.r_[since_ns, stamps, until_ns]).max())
-        return longest_ns * 1e-9 if longest_ns > PAUSE_NS else 0.0
-
-    def covered_ns(self, since_ns: int, until_ns: int) -> int:
-        """Part of an interval covered by samples, from the first sample in or after it, ns."""
-        first, end = self.track.span.tolist()
-        row = first + int(np.searchsorted(self.track.stamp_ns[first:end], since_ns))
-        if row == end:
-            return 0
-        return max(min(until_ns, int(self.track.stamp_ns[end - 1])) - int(self.track.stamp_ns[row]), 0)
-
-    def append(self, stamp_ns: int, value: tuple[float, ...]) -> None:
-        end = int(self.track.span[1])
-        if end == len(self.track.stamp_ns):
-            self._make_room()
-            end = int(self.track.span[1])
-        self.track.stamp_ns[end] = stamp_ns
-        self.track.value[end] = value
-        self.track.span[1] = end + 1
-
-    def clear(self) -> None:
-        """Drop all samples."""
-        self.track.span[0] = self.track.span[1]
-
-    def drop_before(self, stamp_ns: int) -> None:
-        """Drop the samples before a time, except two for a speed; few of them later, with others."""
-        first, end = self.track.span.tolist()
-        if end - first <= DROPPED_TOGETHER or self.track.stamp_ns[first + DROPPED_TOGETHER] >= stamp_ns:
-            return
-        self.track.span[0] = first + int(self.track.stamp_ns[first:end].searchsorted(stamp_ns)) - 2
-
-    def _make_room(self) -> None:
-        first, end = self.track.span.tolist()
-        old = self.track
-        if end - first >= MAX_SAMPLES:  # the laser may be silent for a day
-            rows = np.r_[first : first + MAX_SAMPLES // 4, end - MAX_SAMPLES // 4 : end]
-            old = Track(old.stamp_ns[rows], old.value[rows], np.array([0, len(rows)]))
-            self.dropped += end - first - len(rows)
-            first, end = 0, len(rows)
-        size = len(old.stamp_ns) if first > len(old.stamp_ns) // 2 else 2 * len(old.stamp_ns)
-        self.track = Track(np.zeros(size, np.int64), np.zeros((size, self.width)), np.array([0, end - first]))
-        self.track.stamp_ns[: end - first] = old.stamp_ns[first:end]
-        self.track.value[: end - first] = old.value[first:end]
-
-
 class Estimator:
     """MotionModel. The odom frame is the base at the first scan."""
 
@@ -169,12 +98,14 @@ class Estimator:
             jitter_s=config.odometry_jitter_s,
             fault_noise=FAULT_NOISE,
         )
-        self._odometry, self._gyro = _Samples(5), _Samples(2)
+        self._odometry, self._gyro = Samples(5), Samples(2)
+        self._silent = self._odometry.track._replace(span=np.zeros(2, np.int64))  # odometry without samples
         self._gyro_rate = 0.0
         self._jump_reported_ns = 0  # next warning at the earliest
         self._still = Standstill()
         self._is_unconfirmed_stop = False  # as in Standstill, since the last scan
         self._consistent: ConsistentCovariance | None = None  # while only scans measure the motion; [31]
+        self._standing: StandstillCovariance | None = None  # while odometry has never moved; [30]
         sigma = np.zeros(STATES)
         sigma[LOCAL_BLOCK] = MIN_SIGMA
         sigma[TWIST : TWIST + 3] = FIRST_TWIST_SIGMA
@@ -185,8 +116,7 @@ class Estimator:
         self.filter["settings"] = self._settings
         self.filter["covariance"] = np.diag(sigma**2)
         views = (self.filter[name] for name in ("pose", "twist", "noise", "increment", "covariance"))
-        self._pose, self._twist, self._noise, self._newest_increment, covariance = views
-        self._covariances: list[Matrix] = [covariance]  # the last one is published
+        self._pose, self._twist, self._noise, self._newest_increment, self._covariance = views
         for noise in ("noise", "gyro_noise", "motion_noise"):
             self.filter[noise] = 1.0
         self._begin_acceleration()
@@ -241,10 +171,7 @@ class Estimator:
             self._elapsed_s = (stamp_ns - int(state["stamp_ns"])) * 1e-9
             if self._elapsed_s > PAUSE_NS * 1e-9:
                 pause_s = self._odometry.longest_pause_s(int(state["stamp_ns"]), stamp_ns)
-            tracks = self._odometry.track, self._gyro.track
-            if self._consistent is not None:
-                predict_motion(self._consistent.view(self._record), *tracks, stamp_ns)
-            predict_motion(self._record, *tracks, stamp_ns)
+            self._predict(stamp_ns)
             if pause_s > 0.0 and self._odometry.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= SPEED_WINDOW_NS:
                 self._begin_twist(stamp_ns)
         is_unconfirmed_stop, self._is_unconfirmed_stop = self._is_unconfirmed_stop, False
@@ -255,14 +182,16 @@ class Estimator:
         is_scan_alone = scan_alone(is_measured, noise)
         if is_scan_alone and self._consistent is None:
             self._consistent = ConsistentCovariance(self._record)
-            self._covariances.append(self._consistent.covariance)
         elif not is_scan_alone and self._consistent is not None:
             self._consistent.add_excess_to(self._record)
             self._consistent = None
-            self._covariances.pop()
+        is_standing = self._standing is not None
+        may_stand = self._still.is_unproven and not self._still.is_contradicted
+        if may_stand and not is_standing and self._odometry.last is not None and self._consistent is not None:
+            self._standing = StandstillCovariance(self._consistent.view(self._record))
         samples_dropped = self._odometry.dropped + self._gyro.dropped
         self._odometry.dropped = self._gyro.dropped = 0
-        covariance = self._covariances[0]
+        covariance = self._covariance
         pose = SE2(*self._pose.tolist())
         return Prediction(
             pose_odom_base=pose,
@@ -274,6 +203,7 @@ class Estimator:
             travel_m=math.hypot(pose.x_m - before.x_m, pose.y_m - before.y_m)
             + NEW_GROUND_M * abs(wrap_angle(pose.theta_rad - before.theta_rad)),
             is_measured=is_measured,
+            is_standing=is_standing,
             odometry_noise=noise,
             pause_s=pause_s,
             is_unconfirmed_stop=is_unconfirmed_stop and pause_s > 0.0,
@@ -281,6 +211,29 @@ class Estimator:
             samples_dropped=samples_dropped,
             deskew=partial(deskew_sweep, self._record, self._odometry.track, self._gyro.track),
         )
+
+    @property
+    def _covariances(self) -> list[Matrix]:
+        """The filter's and those propagated beside it; the last one is published."""
+        beside = (self._standing, self._consistent)
+        return [self._covariance, *(one.covariance for one in beside if one is not None)]
+
+    def _predict(self, stamp_ns: int) -> None:
+        """Propagate all covariances to the time of a scan, and the state by the filter's sources."""
+        odometry, gyro = self._odometry.track, self._gyro.track
+        if self._standing is not None:
+            if not self._still.is_unproven:  # odometry moves: until then the vehicle stood
+                self._covariance[:] = self._standing.covariance
+                moved = self._standing.moved(self._record)
+                self._standing = self._consistent = None
+                self._widen(np.outer(moved, moved))
+            elif not self._standing.predict(self._record, odometry, gyro, stamp_ns):
+                self._standing = None
+        if self._still.is_unproven:
+            odometry = self._silent
+        if self._consistent is not None:
+            predict_motion(self._consistent.view(self._record), odometry, gyro, stamp_ns)
+        predict_motion(self._record, odometry, gyro, stamp_ns)
 
     def _increment(self) -> OdometryIncrement | None:
         """The newest odometry increment, with the learnt noise, at least that of the model."""
@@ -315,8 +268,14 @@ class Estimator:
             pose, covariance = measured.pose_odom_base, measured.covariance
             if not measured.is_joined:
                 pose, covariance = self._joined(measured)
-            if self._consistent is not None:
-                self._consistent.correct(self._record, pose, measured)
+            if self._standing is not None:
+                standing = self._standing.joined(self._record, pose, measured)
+                if standing is None:
+                    self._standing, self._still.is_contradicted = None, True
+                pose = standing or pose
+            for beside in (self._standing, self._consistent):
+                if beside is not None:
+                    beside.correct(self._record, pose, measured)
             weight, information = measured.prior_weight, measured.information
             take_match(self._record, np.array(pose), covariance, weight, information)
         elif not self._newest_increment["has_odometry"]:
@@ -405,6 +364,8 @@ class Estimator:
                 hidden = self._still.hidden_motion(sample.stamp_ns, step, self.filter)
                 # The motion while odometry was stuck is unknown.
                 is_dead = self._still.is_stuck or self._still.is_unconfirmed_stop
+                if self._still.is_contradicted or self._still.is_impossible_start(sample.stamp_ns, step):
+                    is_dead, self._standing = True, None
                 if is_dead or hidden is not None or self._has_restarted(sample, last):
                     self._begin_odometry()
                 if hidden is not None:

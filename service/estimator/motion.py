@@ -45,6 +45,7 @@ class Prediction(Motion):
     elapsed_s: float  # since the last scan; 0: there was none
     travel_m: float  # since the last scan
     is_measured: bool  # odometry or an IMU measured the motion since then; else constant velocity
+    is_standing: bool = False  # by odometry that has never moved, which is no measurement
     is_confirmed: bool = False  # both did, and were compared
     odometry_noise: float = 1.0  # learnt factor on the modelled variance of odometry's path length
     pause_s: float = 0.0  # longest time since the last scan without a measurement of the motion

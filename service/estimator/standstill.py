@@ -1,9 +1,10 @@
 """Odometry that repeats a pose: the vehicle stands, or the encoder or its driver has failed; [30].
 
 By its model a dead encoder measures standstill more precisely than any other source. The same pose is used
-only from odometry that has moved before, and after a stop that a vehicle can make or that scans confirm.
-Odometry that stood while the vehicle moved is used again once its pose changes. The same holds of a position
-that repeats while the heading changes: a gyro may measure that, or the vehicle turns on the spot.
+only from odometry that has moved before, or moves later, and after a stop that a vehicle can make or that
+scans confirm. Odometry that stood while the vehicle moved is used again once its pose changes. The same holds
+of a position that repeats while the heading changes: a gyro may measure that, or the vehicle turns on the
+spot.
 """
 
 import math
@@ -53,6 +54,7 @@ class Standstill:
     """Call `is_uninformative` with each sample that `is_repeated`; another pose begins a new Standstill."""
 
     has_moved: bool = False  # at least once
+    is_contradicted: bool = False  # by a scan, before odometry has moved
     is_stuck: bool = False  # odometry stands while the vehicle moves
     is_unconfirmed_stop: bool = False  # odometry stopped faster than a vehicle brakes; no scan confirms it
     _is_turning: bool = False  # the heading changes, the position does not
@@ -99,7 +101,18 @@ class Standstill:
             self._stop = None
         if scan_ns - self._since_ns > STUCK_NS and (self._stop is not None or self._is_moving(state)):
             self.is_stuck = True
-        return self.is_stuck or not (self.has_moved or self._is_turning) or self._stop is not None
+        return self.is_stuck or self.is_contradicted or self._stop is not None
+
+    @property
+    def is_unproven(self) -> bool:
+        """Whether odometry has never moved, as a dead encoder."""
+        return not (self.has_moved or self._is_turning)
+
+    def is_impossible_start(self, stamp_ns: int, step: npt.NDArray[np.float64]) -> bool:
+        """Whether odometry that has never moved begins with a step (3,), m, m, rad, that no vehicle makes."""
+        jump_m, jump_rad = math.hypot(step[0], step[1]), abs(float(step[2]))
+        is_jump = jump_m > STUCK_M or jump_rad > STUCK_RAD
+        return self.is_unproven and is_jump and not self._starts(stamp_ns, jump_m, jump_rad)
 
     def hidden_motion(
         self, stamp_ns: int, step: npt.NDArray[np.float64], state: np.void
@@ -117,10 +130,9 @@ class Standstill:
         if begin is None:
             return None
         jump_m, jump_rad = math.hypot(step[0], step[1]), abs(float(step[2]))
-        start_s, elapsed_s = (stamp_ns - self._newest_ns) * 1e-9, (stamp_ns - begin.stamp_ns) * 1e-9
-        starts = jump_m <= MAX_BRAKING_MPS2 * start_s**2 and jump_rad <= MAX_TURN_BRAKING_RADPS2 * start_s**2
-        expected = elapsed_s * (begin.speed_mps + begin.turn_radps)
-        if starts or not 0.5 * expected <= jump_m + jump_rad <= 2.0 * expected:
+        elapsed_s = (stamp_ns - begin.stamp_ns) * 1e-9
+        expected, jump = elapsed_s * (begin.speed_mps + begin.turn_radps), jump_m + jump_rad
+        if self._starts(stamp_ns, jump_m, jump_rad) or not 0.5 * expected <= jump <= 2.0 * expected:
             return None
         hidden = poses.between(poses.between(begin.pose, state["pose"]), step)
         apart_s = (abs(begin.stamp_ns - begin.scan_ns) + abs(stamp_ns - int(state["stamp_ns"]))) * 1e-9
@@ -128,6 +140,11 @@ class Standstill:
             return None
         is_hidden = math.hypot(hidden[0], hidden[1]) > STUCK_M + apart_s * begin.speed_mps
         return hidden if is_hidden or abs(hidden[2]) > STUCK_RAD + apart_s * begin.turn_radps else None
+
+    def _starts(self, stamp_ns: int, jump_m: float, jump_rad: float) -> bool:
+        """Whether a vehicle can move so far from standstill, since the newest repeated sample."""
+        start_s = (stamp_ns - self._newest_ns) * 1e-9
+        return jump_m <= MAX_BRAKING_MPS2 * start_s**2 and jump_rad <= MAX_TURN_BRAKING_RADPS2 * start_s**2
 
     def _is_moving(self, state: np.void) -> bool:
         """Whether the speed at the last scan (that ahead if the heading changes) is significant."""

@@ -145,6 +145,15 @@ def of_laser(sensor: str, reason: Reason) -> Reason:
     return reason.reworded(f"{sensor}: {reason}") if reason.id in OF_SCAN else reason
 
 
+def of_standstill(reason: Reason) -> Reason:
+    """The reason of a match while odometry has never moved."""
+    if reason.id not in ("pose_uncertain", "open_direction"):
+        return reason
+    return reason.reworded(
+        f"{reason}. Odometry has not moved yet, as one with a dead encoder; it counts once the vehicle drives"
+    )
+
+
 def too_few(points: Points) -> Reason:
     """Reason if a scan has too few returns to be matched, else NO_REASON."""
     if len(points.xy_base) >= MIN_RETURNS:

@@ -25,7 +25,7 @@ from service.mapper.components import (
     ReadableMap,
     Stopwatch,
 )
-from service.mapper.judgement import drift_of, is_motion_unmeasured, of_laser, too_few
+from service.mapper.judgement import drift_of, is_motion_unmeasured, of_laser, of_standstill, too_few
 from service.mapper.localisation import Localisation, SegmentMotion
 from service.mapper.map_changes import ChangeWatch, MapChanges
 from service.mapper.maps.occupancy import draw_standing
@@ -229,6 +229,8 @@ class Mapper(Generic[ReadableMap]):
         if not few:
             self._unmatched = None
         reason = match.reason and of_laser(scan.sensor, match.reason)
+        if predicted.is_standing:
+            reason = of_standstill(reason)
         match = match._replace(motion=s.motion_model.correct(match.measured), reason=reason)
         watch.lap("match")
         checked = self._checks.judge(match, few, predicted, at_ns, s.motion_model.fault)

@@ -6,10 +6,9 @@ import pytest
 from scipy.linalg import expm
 
 from drivers.frames import ImuSample, OdometrySample
-from service.estimator import estimator
+from service.estimator import samples
 from service.estimator.estimator import (
     ACCELERATION_S,
-    CAPACITY,
     FADE_S,
     FIRST_TWIST_SIGMA,
     MIN_SIGMA,
@@ -17,6 +16,7 @@ from service.estimator.estimator import (
     EstimatorConfig,
 )
 from service.estimator.motion import Measurement, Prediction
+from service.estimator.samples import CAPACITY
 from service.geometry.se2 import SE2
 from service.kernels.filter_state import ACCELERATION, ANCHOR, LOCAL, STATES, TWIST
 from service.mapper.known_pose import carried
@@ -463,7 +463,7 @@ def test_without_odometry_the_last_speed_goes_on_and_grows_vague() -> None:
 
 
 def test_samples_that_are_dropped_while_they_wait_are_reported_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(estimator, "MAX_SAMPLES", CAPACITY)
+    monkeypatch.setattr(samples, "MAX_SAMPLES", CAPACITY)
     # Those before the newest scan are forgotten: none is left to be dropped when as many have come.
     assert driven(Estimator(EstimatorConfig()), 20 * (CAPACITY + 5)).samples_dropped == 0
     model = Estimator(EstimatorConfig())

@@ -26,7 +26,7 @@ def path_m_at(stamp_ms: int, stands_ms: tuple[int, int]) -> float:
 @pytest.mark.parametrize(
     ("dies_ms", "rounding_m", "most_m"),
     [
-        pytest.param(0, 0.0, 0.08, id="never lived"),
+        pytest.param(0, 0.0, 0.10, id="never lived"),
         pytest.param(DEAD_MS, 0.0, 0.08, id="driving"),
         pytest.param(6500, 0.0, 0.5, id="standing"),
         pytest.param(None, 0.0, 0.08, id="lives"),
@@ -53,13 +53,57 @@ def test_odometry_that_repeats_its_pose_is_used_only_at_standstill(
             found = model.correct(matched(seen, VAGUE)).pose_odom_base
             off_m.append(abs(found.x_m - path_m))
             faults.append(model.fault)
-    # The one that dies unnoticed is detected by the scans that contradict it.
+    # One that has never moved is believed until a scan contradicts it, by 5.3 sigma; the one that dies
+    # unnoticed is detected by the scans, too.
     assert max(off_m) < most_m
     assert faults[-1].startswith("odometry contradicts the scans (it says the same position again") is (
         dies_ms is not None
     )
     if dies_ms is None:
         assert not any(faults)
+
+
+ALONG_M = 10.0  # sigma of a scan in a bare corridor, along it
+
+
+@pytest.mark.parametrize(
+    ("start_m", "gap_m", "known"),
+    [
+        pytest.param(0.0, 0.0, True, id="starts as a vehicle does"),
+        pytest.param(2.0, 0.0, False, id="jumps: its driver had hung"),
+        pytest.param(0.0, 0.3, False, id="scans had moved: the encoder had hung"),
+    ],
+)
+def test_a_standstill_before_the_first_motion_is_measured_once_odometry_moves(
+    start_m: float, gap_m: float, known: bool
+) -> None:
+    """A vehicle switched on in a corridor: dead odometry would say the same. It drives off after 10 s.
+
+    start_m   jump of odometry as it drives off
+    gap_m     that scans move after 5 s, beside a door that is seen for a moment
+    """
+    model, random = Estimator(EstimatorConfig()), np.random.default_rng(5)
+    along = np.diag([ALONG_M**2, 1e-6, 1e-8])
+    for stamp_ms in range(0, 12_001, 20):
+        driven_s = max(stamp_ms - 10_000, 0) * 1e-3
+        path_m = 0.5 * driven_s**2
+        assert model.add(odometry(stamp_ms, SE2(path_m + (start_m if driven_s else 0.0), 0.0, 0.0)))
+        if stamp_ms % 100:
+            continue
+        predicted = model.predict(stamp_ms * MS)
+        covariance = SURE if gap_m and stamp_ms == 5000 else along
+        seen_m = path_m + (gap_m if stamp_ms >= 5000 else 0.0) + random.normal(0.0, covariance[0, 0] ** 0.5)
+        found = model.correct(matched(SE2(seen_m, 0.0, 0.0), covariance))
+        sigma_m = sigmas_of(found.covariance)[0]
+        if 4000 < stamp_ms < 10_000:
+            assert not predicted.is_measured
+            assert sigma_m > 0.5 or gap_m
+            assert predicted.is_standing != bool(gap_m and stamp_ms > 5000)
+            assert gap_m or abs(found.pose_odom_base.x_m) < 0.03
+    assert predicted.is_measured
+    assert not predicted.is_standing
+    assert (sigma_m < 0.1) is known
+    assert not known or found.pose_odom_base.x_m == pytest.approx(path_m, abs=0.1)
 
 
 def test_a_position_that_repeats_while_the_heading_changes_is_no_standstill() -> None:

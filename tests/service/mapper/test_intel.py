@@ -1,4 +1,4 @@
-"""A scan a second along a corridor: the Intel Research Lab, 6 minutes into the recording."""
+"""A scan a second along a corridor: the Intel Research Lab, at the start and after 6 minutes."""
 
 import math
 from pathlib import Path
@@ -29,6 +29,18 @@ def test_chance_does_not_shorten_the_motion_along_a_corridor(shared: Path) -> No
     driven = _path_length_m([(o.stamp_ns - first_ns, o.x_m, o.y_m) for o in odometry])
     assert driven > 2.0
     assert matched == pytest.approx(driven, abs=0.35)
+
+
+def test_a_vehicle_that_is_switched_on_in_a_corridor_knows_its_place_once_it_drives(shared: Path) -> None:
+    """It stands for 28 s; the scans do not fix the position along the walls, and odometry has not moved."""
+    frames = frames_of(shared / "datasets" / "intel" / "intel.mcap", 36)
+    outputs = outputs_of(build_mapper(mapping_config(), {"scan": SE2()}), frames)
+    standing, driving = outputs[5:28], outputs[29:33]
+    assert max(math.hypot(*output.pose_map_base[:2]) for output in standing) < 0.05
+    open_direction = [output for output in standing if output.state == "degraded"]
+    assert len(open_direction) > len(standing) // 2
+    assert any("Odometry has not moved yet" in output.reason for output in open_direction)
+    assert max(math.sqrt(np.linalg.eigvalsh(output.covariance[:2, :2])[1]) for output in driving) < 0.1
 
 
 def _path_length_m(rows: list[tuple[int, float, float]]) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.frames import Frame, GnssFix, ImuSample, LaserScan
-from service.estimator import estimator
+from service.estimator import samples
 from service.geometry.se2 import SE2
 from service.mapper.components import GraphUpdate, PlaceUpdate, UnconfirmedPlace
 from service.mapper.known_pose import KnownPose
@@ -34,15 +34,15 @@ def test_fixes_are_counted_and_passed_over_where_no_graph_takes_them(profile):
 
 @pytest.mark.parametrize("is_paused", [False, True])
 def test_samples_that_are_dropped_while_no_scan_comes_are_counted(is_paused, monkeypatch):
-    monkeypatch.setattr(estimator, "MAX_SAMPLES", estimator.CAPACITY)
+    monkeypatch.setattr(samples, "MAX_SAMPLES", samples.CAPACITY)
     mapper = build_mapper(mapping_config(), {"front": MOUNTING})
     scans = [frame for frame in drive(ROOM, standing, 0.2).frames if isinstance(frame, LaserScan)]
     mapper.process(scans[0])
-    for k in range(estimator.CAPACITY + 1):
+    for k in range(samples.CAPACITY + 1):
         mapper.process(ImuSample("imu", k + 1, k + 1, (0.0,) * 3, (0.0, 0.0, 9.81)))
     for scan in scans[1:3]:
         (mapper.skip if is_paused else mapper.process)(scan)
-    assert mapper.counters["samples_dropped_waiting"] == estimator.CAPACITY // 2
+    assert mapper.counters["samples_dropped_waiting"] == samples.CAPACITY // 2
 
 
 class KnowingGraph(NoGraph):
