@@ -12,7 +12,7 @@ from pydantic import Field
 
 from drivers.frames import ImuSample, OdometrySample
 from drivers.section import Section
-from service.estimator.consistent_covariance import ConsistentCovariance, StandstillCovariance
+from service.estimator.consistent_covariance import ConsistentCovariance
 from service.estimator.motion import (
     PAUSE_NS,
     Matrix,
@@ -23,7 +23,7 @@ from service.estimator.motion import (
     scan_alone,
 )
 from service.estimator.samples import Samples
-from service.estimator.standstill import Standstill
+from service.estimator.standstill import Standstill, UnprovenStandstill
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.estimator import (
@@ -105,7 +105,7 @@ class Estimator:
         self._still = Standstill()
         self._is_unconfirmed_stop = False  # as in Standstill, since the last scan
         self._consistent: ConsistentCovariance | None = None  # while only scans measure the motion; [31]
-        self._standing: StandstillCovariance | None = None  # while odometry has never moved; [30]
+        self._standing: UnprovenStandstill | None = None  # while odometry has never moved; [30]
         sigma = np.zeros(STATES)
         sigma[LOCAL_BLOCK] = MIN_SIGMA
         sigma[TWIST : TWIST + 3] = FIRST_TWIST_SIGMA
@@ -185,10 +185,12 @@ class Estimator:
         elif not is_scan_alone and self._consistent is not None:
             self._consistent.add_excess_to(self._record)
             self._consistent = None
-        is_standing = self._standing is not None
-        may_stand = self._still.is_unproven and not self._still.is_contradicted
-        if may_stand and not is_standing and self._odometry.last is not None and self._consistent is not None:
-            self._standing = StandstillCovariance(self._consistent.view(self._record))
+        until_ns = self._stands_until_ns(stamp_ns)
+        if self._consistent is not None and until_ns is not None:
+            if self._standing is None:
+                self._standing = UnprovenStandstill(state, self._consistent.covariance.copy())
+            self._standing.is_repeated = self._still.has_repeated
+            self._standing.stand((stamp_ns - until_ns) * 1e-9, self._settings)
         samples_dropped = self._odometry.dropped + self._gyro.dropped
         self._odometry.dropped = self._gyro.dropped = 0
         covariance = self._covariance
@@ -203,7 +205,7 @@ class Estimator:
             travel_m=math.hypot(pose.x_m - before.x_m, pose.y_m - before.y_m)
             + NEW_GROUND_M * abs(wrap_angle(pose.theta_rad - before.theta_rad)),
             is_measured=is_measured,
-            is_standing=is_standing,
+            is_standing=self._standing is not None and self._standing.is_repeated,
             odometry_noise=noise,
             pause_s=pause_s,
             is_unconfirmed_stop=is_unconfirmed_stop and pause_s > 0.0,
@@ -214,26 +216,29 @@ class Estimator:
 
     @property
     def _covariances(self) -> list[Matrix]:
-        """The filter's and those propagated beside it; the last one is published."""
-        beside = (self._standing, self._consistent)
-        return [self._covariance, *(one.covariance for one in beside if one is not None)]
+        """The filter's and that propagated beside it; the last one is published."""
+        return [self._covariance] + ([] if self._consistent is None else [self._consistent.covariance])
+
+    def _stands_until_ns(self, stamp_ns: int) -> int | None:
+        """Stamp of odometry's newest sample, if it works and has never moved."""
+        last = self._odometry.last
+        if last is None or not self._still.is_unproven or self._still.is_contradicted:
+            return None
+        newest_ns = int(self._odometry.track.stamp_ns[last])
+        return newest_ns if stamp_ns - newest_ns < PAUSE_NS else None
 
     def _predict(self, stamp_ns: int) -> None:
-        """Propagate all covariances to the time of a scan, and the state by the filter's sources."""
-        odometry, gyro = self._odometry.track, self._gyro.track
-        if self._standing is not None:
-            if not self._still.is_unproven:  # odometry moves: until then the vehicle stood
+        """Propagate state and covariances to the time of a scan."""
+        tracks = self._silent if self._still.is_unproven else self._odometry.track, self._gyro.track
+        if self._standing is not None and self._stands_until_ns(stamp_ns) is None:
+            if self._standing.is_repeated and not self._still.is_unproven:  # it moves: until then it stood
                 self._covariance[:] = self._standing.covariance
-                moved = self._standing.moved(self._record)
-                self._standing = self._consistent = None
-                self._widen(np.outer(moved, moved))
-            elif not self._standing.predict(self._record, odometry, gyro, stamp_ns):
-                self._standing = None
-        if self._still.is_unproven:
-            odometry = self._silent
+                self._consistent = None
+                self._begin_twist(int(self.filter["stamp_ns"]))
+            self._standing = None
         if self._consistent is not None:
-            predict_motion(self._consistent.view(self._record), odometry, gyro, stamp_ns)
-        predict_motion(self._record, odometry, gyro, stamp_ns)
+            predict_motion(self._consistent.view(self._record), *tracks, stamp_ns)
+        predict_motion(self._record, *tracks, stamp_ns)
 
     def _increment(self) -> OdometryIncrement | None:
         """The newest odometry increment, with the learnt noise, at least that of the model."""
@@ -268,14 +273,13 @@ class Estimator:
             pose, covariance = measured.pose_odom_base, measured.covariance
             if not measured.is_joined:
                 pose, covariance = self._joined(measured)
-            if self._standing is not None:
-                standing = self._standing.joined(self._record, pose, measured)
+            if self._standing is not None and self._standing.is_repeated:
+                standing = self._standing.joined(pose, covariance, measured.information)
                 if standing is None:
                     self._standing, self._still.is_contradicted = None, True
                 pose = standing or pose
-            for beside in (self._standing, self._consistent):
-                if beside is not None:
-                    beside.correct(self._record, pose, measured)
+            if self._consistent is not None:
+                self._consistent.correct(self._record, pose, measured)
             weight, information = measured.prior_weight, measured.information
             take_match(self._record, np.array(pose), covariance, weight, information)
         elif not self._newest_increment["has_odometry"]:

@@ -11,11 +11,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from service.estimator.motion import Matrix
 from service.geometry import poses
-from service.geometry.se2 import wrap_angle
-from service.kernels.filter_state import TWIST
+from service.geometry.chi2 import CHI2_99999_OF_3
+from service.geometry.se2 import SE2, wrap_angle
+from service.kernels.filter_state import LOCAL_BLOCK, MAP_BLOCK, TWIST, MotionSettings
+from service.kernels.increments import STANDING_M, STANDING_RAD
 from service.kernels.tracks import Track
 
 ROUNDING = 1e-9  # m and rad, by filters and changes of frame, within some 1000 km of the origin
@@ -33,7 +35,7 @@ class _ImpossibleStop:
 
     speed_mps: float  # before; 0: the vehicle can have stopped from it
     turn_radps: float  # likewise
-    pose: npt.NDArray[np.float64]  # (3,) at the last scan before
+    pose: Matrix  # (3,) at the last scan before
     path_length_m: float  # from there to the stop, by odometry
     turn_rad: float
 
@@ -44,7 +46,7 @@ class _Begin:
 
     stamp_ns: int  # of the first sample with this pose
     scan_ns: int  # of the last scan
-    pose: npt.NDArray[np.float64]  # (3,) at that scan
+    pose: Matrix  # (3,) at that scan
     speed_mps: float  # by odometry, before
     turn_radps: float
 
@@ -54,6 +56,7 @@ class Standstill:
     """Call `is_uninformative` with each sample that `is_repeated`; another pose begins a new Standstill."""
 
     has_moved: bool = False  # at least once
+    has_repeated: bool = False  # to the last bit, at least once
     is_contradicted: bool = False  # by a scan, before odometry has moved
     is_stuck: bool = False  # odometry stands while the vehicle moves
     is_unconfirmed_stop: bool = False  # odometry stopped faster than a vehicle brakes; no scan confirms it
@@ -63,17 +66,17 @@ class Standstill:
     _begin: _Begin | None = None
     _stop: _ImpossibleStop | None = None  # until a scan confirms it
 
-    def is_repeated(
-        self, pose: tuple[float, float, float], last: npt.NDArray[np.float64], state: np.void
-    ) -> bool:
+    def is_repeated(self, pose: tuple[float, float, float], last: Matrix, state: np.void) -> bool:
         """Whether a sample repeats the last pose (3,): to the last bit, or but for rounding, or but for the
         heading, while the vehicle moves.
         """
         x_m, y_m, theta_rad = (pose - last).tolist()
         self._is_turning = abs(theta_rad) >= ROUNDING
         if x_m == y_m == theta_rad == 0.0:
-            return True
-        return math.hypot(x_m, y_m) < ROUNDING and (self.is_stuck or self._is_moving(state))
+            self.has_repeated = True
+        elif math.hypot(x_m, y_m) >= ROUNDING or not (self.is_stuck or self._is_moving(state)):
+            return False
+        return True
 
     def is_uninformative(self, stamp_ns: int, track: Track, state: np.void, period_s: float) -> bool:
         """Whether such a sample is no evidence of standstill.
@@ -105,18 +108,16 @@ class Standstill:
 
     @property
     def is_unproven(self) -> bool:
-        """Whether odometry has never moved, as a dead encoder."""
+        """Whether odometry has stood since it was heard first, as with a dead encoder."""
         return not (self.has_moved or self._is_turning)
 
-    def is_impossible_start(self, stamp_ns: int, step: npt.NDArray[np.float64]) -> bool:
+    def is_impossible_start(self, stamp_ns: int, step: Matrix) -> bool:
         """Whether odometry that has never moved begins with a step (3,), m, m, rad, that no vehicle makes."""
         jump_m, jump_rad = math.hypot(step[0], step[1]), abs(float(step[2]))
         is_jump = jump_m > STUCK_M or jump_rad > STUCK_RAD
         return self.is_unproven and is_jump and not self._starts(stamp_ns, jump_m, jump_rad)
 
-    def hidden_motion(
-        self, stamp_ns: int, step: npt.NDArray[np.float64], state: np.void
-    ) -> npt.NDArray[np.float64] | None:
+    def hidden_motion(self, stamp_ns: int, step: Matrix, state: np.void) -> Matrix | None:
         """(3,) m, m, rad, base axes: motion in this standstill that the scans did not measure; else None.
 
         stamp_ns   of the sample that ends the standstill
@@ -151,6 +152,47 @@ class Standstill:
         variance = np.diag(state["covariance"])[TWIST : TWIST + 3] + np.square(STANDSTILL_SIGMA)
         is_moving = np.square(state["twist"]) > MOVING_SIGMAS**2 * variance
         return bool(is_moving[0] if self._is_turning else is_moving.any())
+
+
+class UnprovenStandstill:
+    """Where a vehicle stands by odometry that has never moved: a prior of its matches; its covariance is the
+    estimator's once odometry moves.
+    """
+
+    def __init__(self, state: np.void, covariance: Matrix) -> None:
+        """covariance: (22, 22) of the errors of the estimator's state, when odometry was heard first."""
+        self._pose, self._covariance = SE2(*state["pose"].tolist()), covariance
+        self._motion: Matrix = np.zeros((3, 3))  # covariance of that since then, base axes
+        self.is_repeated = False  # odometry has said so at least twice
+
+    def stand(self, silent_s: float, settings: MotionSettings) -> None:
+        """Stand until a scan, which comes so long after odometry's newest sample."""
+        q = np.array([settings.acceleration, settings.acceleration, settings.turn_acceleration]) ** 2
+        still = np.array([STANDING_M, STANDING_M, STANDING_RAD]) ** 2
+        self._motion = np.diag(still + q * max(silent_s, 0.0) ** 3 / 3.0)  # [8]
+
+    def joined(self, pose: SE2, covariance: Matrix, information: Matrix) -> SE2 | None:
+        """A pose by the scans and this place together; None: it contradicts that the vehicle stands.
+
+        covariance    (3, 3) of the pose
+        information   (3, 3) of the newest scan alone
+        """
+        off = np.array(pose.between(self._pose).log())
+        own = self.covariance[LOCAL_BLOCK, LOCAL_BLOCK]
+        weighted = np.linalg.solve(covariance + own, off)
+        if off @ weighted > CHI2_99999_OF_3:
+            return None
+        self._motion = np.linalg.inv(np.linalg.inv(self._motion) + information)
+        return pose @ SE2.exp(*(covariance @ weighted).tolist())
+
+    @property
+    def covariance(self) -> Matrix:
+        """(22, 22) of the errors at the newest scan."""
+        covariance = self._covariance.copy()
+        for rows in (LOCAL_BLOCK, MAP_BLOCK):
+            for columns in (LOCAL_BLOCK, MAP_BLOCK):
+                covariance[rows, columns] += self._motion
+        return covariance
 
 
 def _begin(track: Track, state: np.void) -> _Begin | None:

@@ -295,7 +295,8 @@ class SurfelGaussNewton:
         returns = Returns(points.xy_raw, points.beam_time_s, points.beam)
         if attempt.posts is not None:
             returns, normals, xy_base = _with_posts(attempt, attempt.posts, normals, start[2])
-        is_scan_alone, chance_chi2 = predicted.is_scan_alone, _chance_chi2(predicted)
+        is_scan_alone = predicted.is_scan_alone and not predicted.is_standing
+        chance_chi2 = _chance_chi2(predicted)
         step_m = submap.keyframe_distance_m
         result: MatchResult = match_scan(
             returns,
