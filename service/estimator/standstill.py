@@ -182,7 +182,7 @@ class UnprovenStandstill:
         weighted = np.linalg.solve(covariance + own, off)
         if off @ weighted > CHI2_99999_OF_3:
             return None
-        self._motion = np.linalg.inv(np.linalg.inv(self._motion) + information)
+        self._motion = np.asarray(np.linalg.inv(np.linalg.inv(self._motion) + information), np.float64)
         return pose @ SE2.exp(*(covariance @ weighted).tolist())
 
     @property
