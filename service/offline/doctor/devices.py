@@ -6,7 +6,6 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from drivers.sensor_kind import SensorKind
@@ -18,7 +17,7 @@ from service.offline.doctor.network import call_failed, errno_of, look_at_route,
 from service.offline.doctor.probe import Probe, listen, probe
 from service.offline.doctor.protocol_identification import recognise_sensor
 from service.offline.doctor.serial_ports import busy_finding, look_at_port
-from service.offline.setup.config_here import shared_devices
+from service.offline.setup.config_here import PortWire, TcpWire, shared_devices, wire_of
 from service.sensor_kinds import SENSOR_KINDS
 
 OTHER_SETTINGS_S = 4.0
@@ -34,31 +33,6 @@ class Patience:
     start_up_s: float | None = None
     other_settings_s: float = OTHER_SETTINGS_S
     listen_s: float = LISTEN_S
-
-
-@dataclass(frozen=True, slots=True)
-class TcpWire:
-    host: str
-    port: int
-
-
-@dataclass(frozen=True, slots=True)
-class PortWire:
-    device: str
-
-
-def wire_of(config: Any) -> TcpWire | PortWire | None:
-    """Wire by the settings that all types share: host and port, or device. None: another kind of wire."""
-    host, device = getattr(config, "host", None), getattr(config, "device", None)
-    if host is not None:
-        return TcpWire(host, config.port)
-    if device is None:
-        return None
-    scheme, separator, rest = device.partition("://")
-    if not separator:
-        return PortWire(device) if device.startswith(("/", ".")) or Path(device).exists() else None
-    name, _, port = rest.partition("?")[0].rpartition(":")
-    return TcpWire(name, int(port)) if scheme in ("socket", "rfc2217") and port.isdigit() else None
 
 
 def look_at_shared(machine: Machine, sensors: Mapping[str, Any]) -> list[Finding]:

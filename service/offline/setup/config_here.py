@@ -19,7 +19,17 @@ from service.located_yaml import Fault, load
 from service.located_yaml import Path as KeyPath
 from service.mapstore.begin_in import stored_for
 
+THIS_MACHINE, OWN_ADDRESSES = "127.0.0.1", frozenset(("127.0.0.1", "::1", "0.0.0.0", "::"))
 NAME_TIMEOUT_S = 2.0  # for the addresses of a name: a dead name server is queried for 10 s and more
+
+
+class TcpWire(NamedTuple):
+    host: str
+    port: int
+
+
+class PortWire(NamedTuple):
+    device: str
 
 
 class SharedDevice(NamedTuple):
@@ -53,42 +63,63 @@ def faults_here(config: ServiceConfig, file: str) -> list[str]:
     return [fault.text(file) for fault in sorted(faults, key=lambda fault: fault.position.line)]
 
 
+def wire_of(config: Any) -> TcpWire | PortWire | None:
+    """Wire by the settings that all types share: host and port, or device. None: another kind of wire."""
+    host, device = getattr(config, "host", None), getattr(config, "device", None)
+    if host is not None:
+        return TcpWire(host, config.port)
+    if device is None:
+        return None
+    scheme, separator, rest = device.partition("://")
+    if not separator:
+        return PortWire(device) if device.startswith(("/", ".")) or Path(device).exists() else None
+    name, _, port = rest.partition("?")[0].rpartition(":")
+    if scheme.lower() not in ("socket", "rfc2217") or not port.isdigit():
+        return None
+    return TcpWire(name.removeprefix("[").removesuffix("]"), int(port))
+
+
 def shared_devices(
     sensors: Mapping[str, Any], real_path: Callable[[str], str] = os.path.realpath
 ) -> list[SharedDevice]:
     """Sensors whose device files are links to one file, or whose hosts have one address at the same port."""
-    return [*_linked_files(sensors, real_path), *_hosts_with_one_address(sensors)]
+    wires = {name: wire for name, sensor in sensors.items() if (wire := wire_of(sensor)) is not None}
+    files = {name: real_path(wire.device) for name, wire in wires.items() if isinstance(wire, PortWire)}
+    calls = {name: wire for name, wire in wires.items() if isinstance(wire, TcpWire)}
+    return [*_linked_files(files), *_hosts_with_one_address(sensors, calls)]
 
 
-def _linked_files(sensors: Mapping[str, Any], real_path: Callable[[str], str]) -> Iterator[SharedDevice]:
+def _linked_files(files: Mapping[str, str]) -> Iterator[SharedDevice]:
     owners: dict[str, str] = {}
-    for name, sensor in sensors.items():
-        device = getattr(sensor, "device", None)
-        if device is None or not Path(device).is_absolute():  # a URL, or usb
-            continue
-        owner = owners.setdefault(real_path(device), name)
+    for name, file in files.items():
+        owner = owners.setdefault(file, name)
         if owner != name:
-            yield SharedDevice(name, "device", owner, real_path(device))
+            yield SharedDevice(name, "device", owner, file)
 
 
-def _hosts_with_one_address(sensors: Mapping[str, Any]) -> Iterator[SharedDevice]:
+def _hosts_with_one_address(
+    sensors: Mapping[str, Any], wires: Mapping[str, TcpWire]
+) -> Iterator[SharedDevice]:
     at_port: dict[int, list[str]] = {}
-    for name, sensor in sensors.items():
-        if getattr(sensor, "host", None) is not None:
-            at_port.setdefault(sensor.port, []).append(name)
+    for name, wire in wires.items():
+        at_port.setdefault(wire.port, []).append(name)
     for port, names in at_port.items():
         owners: dict[str, str] = {}
         for name in names if len(names) > 1 else ():
             shared = ""
-            for address in sorted(known_addresses(sensors[name].host)):
+            for address in sorted(known_addresses(wires[name].host)):
                 if owners.setdefault(address, name) != name:
                     shared = address
             if shared:
-                yield SharedDevice(name, "host", owners[shared], f"{shared}:{port}")
+                key = "device" if getattr(sensors[name], "host", None) is None else "host"
+                yield SharedDevice(name, key, owners[shared], f"{shared}:{port}")
 
 
 def known_addresses(host: str) -> frozenset[str]:
-    """Addresses of a host, as this machine resolves it; the host itself after NAME_TIMEOUT_S without any."""
+    """Addresses of a host, as this machine resolves it; the host itself after NAME_TIMEOUT_S without any.
+
+    Those by which this machine reaches itself are one: a device behind them mostly listens at all.
+    """
     answer: Future[frozenset[str]] = Future()
 
     def ask() -> None:
@@ -96,7 +127,8 @@ def known_addresses(host: str) -> frozenset[str]:
             found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
         except (OSError, UnicodeError):
             found = []
-        answer.set_result(frozenset(one_spelling(str(address[0])) for *_, address in found))
+        spelt = (one_spelling(str(address[0])) for *_, address in found)
+        answer.set_result(frozenset(THIS_MACHINE if one in OWN_ADDRESSES else one for one in spelt))
 
     threading.Thread(target=ask, name=f"addresses of {host}", daemon=True).start()
     try:

@@ -46,6 +46,34 @@ def test_a_name_and_its_address_are_one_device():
     assert faults_here(config_of(f"{FRONT}\n{other_port}"), "v.yaml") == []
 
 
+@pytest.mark.parametrize(
+    ("wire", "other", "key"),
+    [
+        ("host: localhost, port: 4001", 'host: "::1", port: 4001', "host"),
+        ("host: 127.0.0.1, port: 4001", 'host: "::1", port: 4001', "host"),
+        ("host: 127.0.0.1, port: 4001", "host: 0.0.0.0, port: 4001", "host"),
+        ("host: LocalHost, port: 4001", "device: 'socket://127.0.0.1:4001'", "device"),
+        ("device: 'socket://localhost:4001'", "device: 'RFC2217://[::1]:4001?timeout=3'", "device"),
+        ("device: 'socket://localhost:4001'", "host: 127.0.0.1, port: 4001", "host"),
+    ],
+)
+def test_a_device_of_this_machine_is_one_however_it_is_called(wire: str, other: str, key: str):
+    sensors = [
+        f"{{type: {'sick_lms100' if one.startswith('host') else 'xsens_mtig'}, {one}}}"
+        for one in (wire, other)
+    ]
+    (fault,) = faults_here(config_of(f"  first: {sensors[0]}\n  second: {sensors[1]}"), "v.yaml")
+    assert f"sensors.second.{key}: this is 127.0.0.1:4001, as is that of first; " in fault
+
+
+def test_a_relative_path_and_an_absolute_one_are_one_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "port").touch()
+    imu = "  imu: {type: xsens_mtig, device: port}"
+    (fault,) = faults_here(config_of(f"{imu}\n  base: {{type: irobot_create, device: ./port}}"), "v.yaml")
+    assert f"this is {tmp_path / 'port'}, as is that of imu; " in fault
+
+
 def test_a_name_server_that_is_silent_is_not_waited_for(monkeypatch: pytest.MonkeyPatch):
     answered = threading.Event()
     monkeypatch.setattr(config_here, "NAME_TIMEOUT_S", 0.01)
