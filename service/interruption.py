@@ -5,6 +5,7 @@ printed, or delayed until a long call of C returns. So nothing is unwound. A com
 finish takes the signals over (service.runtime.signals); it gives them back where none came.
 """
 
+import fcntl
 import os
 import signal
 import sys
@@ -129,6 +130,18 @@ def wake_when_parent_ends() -> None:
     import ctypes
 
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGCONT)
+
+
+def wake_group_at_end_of(pipe: int) -> None:
+    """From now on the system continues this process and all of its group, where they are stopped, when no one
+    can write to the pipe any more. Every byte that comes through it does so, too.
+
+    Unlike a parent's end, this reaches those whose parent has ended long before. Holds as long as one of the
+    group has the pipe open.
+    """
+    fcntl.fcntl(pipe, fcntl.F_SETOWN, -os.getpgrp())
+    fcntl.fcntl(pipe, fcntl.F_SETSIG, signal.SIGCONT)
+    fcntl.fcntl(pipe, fcntl.F_SETFL, fcntl.fcntl(pipe, fcntl.F_GETFL) | os.O_ASYNC)
 
 
 def _left_to_end_by_themselves() -> set[int]:

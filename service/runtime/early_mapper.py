@@ -21,7 +21,7 @@ from service.interruption import before_ending
 from service.located_yaml import MAX_FILE_BYTES, load
 
 MODULE = "service.runtime.mapper_process"
-CONFIG_ON_STDIN = "--config-on-stdin"  # the section "mapping" of the config, as JSON
+CONFIG_ON_STDIN = "--config-on-stdin"  # the section "mapping" of the config, as JSON in one line
 END_S = 2.0
 FOLDER, SOCKET = "corridor-mapper-", "mapper.sock"
 
@@ -105,8 +105,8 @@ class EarlyMapper:
         """The section "mapping" of the config, unchecked; which kernels to load follows from it."""
         assert self.process.stdin is not None
         with suppress(BrokenPipeError):  # it has failed, which the link will report
-            self.process.stdin.write(json.dumps(dict(mapping)).encode())
-            self.process.stdin.close()
+            self.process.stdin.write(json.dumps(dict(mapping)).encode() + b"\n")
+            self.process.stdin.flush()
 
 
 def mapping_section(path: Path) -> dict[str, Any]:

@@ -133,7 +133,7 @@ class MapperLink:
         command = [sys.executable, "-m", MODULE, str(self._mapper_socket.folder)]
         # A session of its own: Ctrl-C is for ingest, which decides when it ends.
         self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, env=mapper_environment(), start_new_session=True
+            command, stdin=subprocess.PIPE, env=mapper_environment(), start_new_session=True
         )
 
     def next_number(self) -> int:
@@ -220,6 +220,8 @@ class MapperLink:
         if self._process is not None:
             with suppress(ProcessLookupError):  # stand-bys and back ends, which stay in its group, end too
                 os.killpg(self._process.pid, signal.SIGKILL)
+            if self._process.stdin is not None:
+                self._process.stdin.close()
             self._bury()
         self._mapper_socket.close()
 

@@ -27,7 +27,7 @@ from service.compile.warm_up import KernelProgress
 from service.compile.warm_up import warm_up as warm_up_kernels
 from service.compile.worker import SeldomKernels
 from service.encoding import warm_up as warm_up_encoding
-from service.interruption import killed_with_parent, wake_when_parent_ends
+from service.interruption import killed_with_parent, wake_group_at_end_of, wake_when_parent_ends
 from service.log_format import set_up_logging
 from service.mapper.background import BackEndDiedError
 from service.mapper.mapping_session import MappingSession
@@ -271,7 +271,7 @@ def _reported() -> MappingConfig | None:
     if CONFIG_ON_STDIN not in sys.argv:
         return None
     try:
-        return mapping_config(json.loads(sys.stdin.read()))
+        return mapping_config(json.loads(sys.stdin.readline()))
     except ValueError:
         return None  # ingest refuses it
 
@@ -302,7 +302,7 @@ def main() -> int:
         config = mapping_config(dict(setup.mapping))
         if facts is None or config.model_dump() != facts.model_dump():  # == compares classes, made for each
             left = _load(channel)
-        wake_when_parent_ends()
+        wake_group_at_end_of(sys.stdin.fileno())  # all that is forked from here is in it
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # stand-bys end when no one needs them any more
         gc.collect()
         gc.freeze()  # these objects live as long as the process; a full collection would stall a scan

@@ -17,10 +17,13 @@ from tests.waiting import wait_until
 EXIT_S = 7.0  # of an interpreter on a busy machine; 0.3 s on an idle one
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    ("number", "is_replaced"), [(signal.SIGTERM, False), (signal.SIGKILL, False), (signal.SIGKILL, True)]
+)
 def test_nothing_of_a_service_that_is_ended_lives_on_where_all_of_its_processes_are_stopped(
-    tmp_path: Path, number: signal.Signals
+    tmp_path: Path, number: signal.Signals, is_replaced: bool
 ):
+    """Be the mapper the one that the service began, or a stand-by that has replaced it."""
     service = LiveService(
         tmp_path, {"front": {"type": "sick_lms100", "host": "127.0.0.1", "port": free_port()}}
     )
@@ -34,8 +37,16 @@ def test_nothing_of_a_service_that_is_ended_lives_on_where_all_of_its_processes_
         )
         service.systemd.wait_for("READY=1", PATIENCE_S)
         (mapper,) = (one.pid for one in alive() if one.parent == process.pid)
-        its += [one.pid for one in alive() if one.session == mapper]
+
+        def of_mapper() -> list[int]:
+            return [one.pid for one in alive() if one.session == mapper]
+
+        its += of_mapper()
         assert len(its) >= 4  # with a stand-by, and a back end for each
+        if is_replaced:
+            os.kill(mapper, signal.SIGKILL)
+            wait_until(lambda: len(set(of_mapper()) - set(its)) >= 2, words="no further stand-by")
+            its[:] = of_mapper()
         for pid in its:
             os.kill(pid, signal.SIGSTOP)
         began_s = time.monotonic()

@@ -22,7 +22,7 @@ class Nursery:
     module subprocess.
     """
 
-    DEVNULL = subprocess.DEVNULL
+    PIPE = subprocess.PIPE
     TimeoutExpired = subprocess.TimeoutExpired
 
     def __init__(self) -> None:
@@ -53,6 +53,8 @@ class Nursery:
 
 class Forked:
     """As much of a Popen as the mapper's link uses."""
+
+    stdin = None
 
     def __init__(self, pid: int, nursery: Nursery) -> None:
         self.pid, self._nursery = pid, nursery
