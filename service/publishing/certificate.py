@@ -8,6 +8,8 @@ from pathlib import Path
 
 from service.publishing.security import SecurityConfig
 
+UNTIL = "certificate_until"  # key of `until` in a row of health
+TIME = "%Y-%m-%d %H:%M:%S"
 NO_CHECK_TIME = 0x200000  # X509_V_FLAG_NO_CHECK_TIME of OpenSSL
 
 
@@ -23,6 +25,11 @@ class Validity:
         self._files = None if certificate is None or key is None else (certificate, key)
         self._span_s = self._on_disk()
         self._unix_s = unix_s
+
+    @property
+    def until(self) -> str:
+        """End of the certificate in UTC, to the second; "" where there is none that OpenSSL takes."""
+        return "" if self._span_s is None else time.strftime(TIME, time.gmtime(self._span_s[1]))
 
     def fault(self) -> str:
         """Why no other machine can connect, "" where it is valid."""

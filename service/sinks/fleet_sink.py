@@ -14,6 +14,7 @@ from drivers.zenoh_callback import daemon_callback
 from service.encoding import ERROR, OK, TILES, WARNING, Message, Status
 from service.errors import StorageError
 from service.outputs import TileUpdate, reason_value
+from service.publishing.certificate import validity_of
 from service.publishing.config import PublishingConfig, host_of
 from service.publishing.keys import alive_key, vehicle_key
 from service.publishing.listeners import Listeners
@@ -176,7 +177,9 @@ class FleetSink(Sink):
             self._rate_from = now_s, self._bytes.sent
             values["kilobytes_per_s"] = f"{(self._bytes.sent - sent) / (now_s - before_s) / 1e3:.1f}"
         self._values = {**self._values, **values}
-        self._fault = "" if router else f"no link to {self.place()}; poses and tiles stay on this machine"
+        own = "" if router else validity_of(self._config.secured).fault()  # as it is read for the next link
+        lost = f"no link to {self.place()}; poses and tiles stay on this machine{own and '; '}{own}"
+        self._fault = "" if router else lost
 
     def _decide(self, session: zenoh.Session, own: Presence, watched: str) -> None:
         """Be in the fleet, unless another one of this name was first."""

@@ -8,7 +8,7 @@ from service.encoding import WARNING, Message, Status
 from service.errors import StorageError
 from service.mapper.profiles import METHODS
 from service.outputs import reason_value
-from service.publishing.certificate import Validity
+from service.publishing.certificate import UNTIL, Validity
 from service.publishing.commands import Answer, refusal
 from service.sinks.sink import Sink, SinkContext
 from service.web.access import new_token, state_folder, token_from_file
@@ -59,6 +59,8 @@ class WebSink(Sink):
 
     def health(self) -> Status:
         status = self.server.health()
+        if until := self._validity.until:
+            status = status._replace(values={**status.values, UNTIL: until})
         if status.level < WARNING and (fault := self._validity.fault()):
             values = {**status.values, **reason_value("certificate_not_valid")}
             return Status(self.name, WARNING, fault, values)

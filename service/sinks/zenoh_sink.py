@@ -7,7 +7,7 @@ from dataclasses import replace
 from drivers.link import LinkHealth
 from service.encoding import WARNING, Message, Status, decode_diagnostics
 from service.outputs import TileUpdate, reason_value
-from service.publishing.certificate import validity_of
+from service.publishing.certificate import UNTIL, validity_of
 from service.publishing.config import PublishingConfig
 from service.publishing.shared import SharedZenoh
 from service.publishing.zenoh_publisher import ZenohPublisher
@@ -57,6 +57,7 @@ class ZenohSink(Sink):
     def health(self) -> Status:
         endpoints = " ".join(self._publisher.endpoints)
         more = {"initialpose_refused": self._publisher.pose_refused, "endpoints": endpoints}
+        more[UNTIL] = self._validity.until
         row = counted_row(self.name, self._publisher.counts(), more)
         if fault := self._validity.fault():
             return Status(self.name, WARNING, fault, {**row.values, **reason_value("certificate_not_valid")})

@@ -2,17 +2,19 @@
 
 import ssl
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.counted import counted
 from service.config import ServiceConfig
+from service.encoding import Status
 from service.errors import InputError, words_of
 from service.extras import install_command
 from service.offline.doctor.findings import Finding, fault, note, ok
 from service.offline.doctor.machine import Machine
+from service.publishing.certificate import UNTIL, Validity
 from service.publishing.config import is_local
 from service.publishing.security import SecurityConfig, TlsConfig, UsersConfig
 from service.readable import open_file
@@ -41,6 +43,29 @@ def look_at_certificates(machine: Machine, config: ServiceConfig) -> list[Findin
     elif web.enabled and not is_local(f"tcp/{web.listen}"):
         words = f"{web.listen} is on the network without TLS: the token can be read in transit"
         found.append(note("web", words, "set web.tls_certificate and web.tls_key, or use SSH"))
+    return found
+
+
+def look_at_loaded(machine: Machine, config: ServiceConfig, statuses: Sequence[Status]) -> list[Finding]:
+    """A note for each certificate that is not the one which the running service has loaded, by its health."""
+    publishing, web = config.sinks["publishing"], config.sinks["web"]
+    tls = publishing.secured.tls if publishing.secured is not None else None
+    files = {"web": (web.tls_certificate, web.tls_key)}
+    if tls is not None:
+        files["zenoh"] = tls.certificate, tls.key
+    found = []
+    for status in statuses:
+        certificate, key = files.get(status.name, (None, None))
+        loaded = status.values.get(UNTIL)
+        if certificate is None or key is None or loaded is None:
+            continue
+        on_disk = Validity(machine.path(certificate), machine.path(key)).until
+        if on_disk not in ("", loaded):
+            words = (
+                f"the running service has loaded a certificate that is valid until {loaded} UTC; "
+                f"{certificate} has been replaced since, by one until {on_disk}"
+            )
+            found.append(note(status.name, words, "restart the service to use it"))
     return found
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from service.config import ServiceConfig, load_config
 from service.errors import ConfigError
 from service.offline.doctor import endpoints, folders, host
-from service.offline.doctor.certificates import look_at_certificates
+from service.offline.doctor.certificates import look_at_certificates, look_at_loaded
 from service.offline.doctor.devices import Patience, examine_sensor, look_at_shared
 from service.offline.doctor.findings import Finding, Report, fault, ok
 from service.offline.doctor.host import look_at_cache
@@ -49,6 +49,7 @@ def _with_config(
     zenoh, running = endpoints.look_at_zenoh(machine, config)
     if running is not None:
         statuses = ask_health(running, config.vehicle, config.sinks["publishing"].secured)
+        zenoh += look_at_loaded(machine, config, statuses)
         devices = from_health(running, config.vehicle, list(config.sensors), statuses)
     else:
         devices = _devices(machine, config, patience)

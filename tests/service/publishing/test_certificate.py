@@ -63,5 +63,7 @@ def test_health_has_a_warning_where_clients_refuse_the_certificate(
         row = sink.health()
         sink.close()
         assert row.level == (WARNING if days == 30 else OK)
+        ends = (long_ago + timedelta(days=days)).strftime("%Y-%m-%d %H:%M:%S")
+        assert row.values["certificate_until"] == ends  # for the doctor, who sees the file
         assert (row.values.get("reason_id") == "certificate_not_valid") == (days == 30)
     assert "no other machine accepts it" in caplog.text

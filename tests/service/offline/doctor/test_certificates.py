@@ -6,9 +6,11 @@ from pathlib import Path
 import pytest
 
 from service.config import ServiceConfig, parse_config
-from service.offline.doctor.certificates import look_at_certificates
+from service.encoding import OK, Status
+from service.offline.doctor.certificates import look_at_certificates, look_at_loaded
 from service.offline.doctor.findings import Finding
 from service.offline.security.authority import Holder, init_site
+from service.publishing.certificate import UNTIL, Validity
 from tests.service.offline.doctor.conftest import FakeTree
 
 NOW = datetime.fromtimestamp(1.8e9, UTC)  # of the machine
@@ -44,6 +46,22 @@ def test_good_files_are_good_with_the_days_that_are_left(tree, site):
     assert [one.severity for one in found] == ["ok", "ok"]
     assert found[0].measured == f"{PLACE}/veh1.pem is valid for 100 days"
     assert look_at_certificates(tree.machine(), config("tls: null")) == []
+
+
+def test_a_certificate_that_was_renewed_is_noted_until_the_service_is_restarted(tree, site):
+    web = f"tls_certificate: {PLACE}/veh1.pem, tls_key: {PLACE}/veh1.key"
+    given = config(web=web)
+    statuses = [
+        Status(name, OK, "ok", {UNTIL: Validity(site / "veh1.pem", site / "veh1.key").until})
+        for name in ("zenoh", "web")
+    ]
+    assert look_at_loaded(tree.machine(), given, statuses) == []
+    init_site(site, [], days=200, renew=True, now=NOW)
+    found = look_at_loaded(tree.machine(), given, statuses)
+    assert [(one.severity, one.who) for one in found] == [("note", "zenoh"), ("note", "web")]
+    assert "has loaded a certificate that is valid until 2027-04-25 08:00:00 UTC; " in found[0].measured
+    assert "by one until 2027-08-03" in found[0].measured
+    assert found[0].remedy == "restart the service to use it"
 
 
 def replaced(site: Path, name: str, by: bytes) -> None:
