@@ -10,6 +10,7 @@ from typing import Any
 
 import zenoh
 
+from drivers.counted import counted
 from drivers.rmw_zenoh import Attachment
 from service.encoding import ERROR, WARNING, decode_diagnostics, decode_pose
 from service.errors import InputError, StorageError
@@ -80,7 +81,11 @@ class Vehicle:
         parts += [f"corridor {self.corridor}"] if self.corridor else []
         parts += self.faults
         if len(self.sessions) > 1:
-            parts.append(f"two vehicles by this name: {'; '.join(self.sessions)}")
+            first, *refused = self.sessions
+            parts.append(
+                f"{counted(len(self.sessions), 'vehicle')} by this name: {first} is in the fleet, "
+                f"{'; '.join(refused)} refused; give one another name"
+            )
         elif self.sessions:
             parts.append(self.sessions[0])
         return " | ".join(parts)

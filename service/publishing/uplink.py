@@ -75,7 +75,7 @@ def open_uplink(config: PublishingConfig) -> zenoh.Session:
 class Presence:
     """A session by the name of a vehicle: by its liveliness token. The first is the earliest."""
 
-    began_ns: int  # Unix time by its own clock
+    began_ns: int  # Unix time by its own clock, or later than those that were there when it came
     session: str  # Zenoh's identifier
     host: str
     address: str  # by which it reaches the router

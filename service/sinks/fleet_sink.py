@@ -43,7 +43,8 @@ def open_sink(config: PublishingConfig, context: SinkContext) -> "FleetSink | No
 class FleetSink(Sink):
     """Connects from `start` on, in a thread that nothing waits for.
 
-    Of two vehicles by one name the one that began first is in the fleet; the other is refused while it is.
+    Of two vehicles by one name the one that was there first is in the fleet, whatever their clocks say; the
+    other is refused while it is. Of two that come at once it is the one that began first by its own clock.
     """
 
     name = "fleet"
@@ -62,7 +63,8 @@ class FleetSink(Sink):
         self._closing = False
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._fault = "not connected yet"
-        self._rival: Presence | None = None
+        self._rival: Presence | None = None  # that was first
+        self._refused: Presence | None = None  # that is refused for this vehicle
         self._bytes = LinkBytes()
         self._rate_from = (time.monotonic(), 0)
         self._values: dict[str, str] = {}
@@ -94,6 +96,9 @@ class FleetSink(Sink):
                 values |= {f"{what}.{channel}": str(count) for channel, count in sorted(counter.items())}
         if (rival := self._rival) is not None:
             return Status(self.name, ERROR, self._refusal(rival), values | reason_value("name_taken"))
+        if (refused := self._refused) is not None and not self._fault:
+            reason = reason_value("name_taken")
+            return Status(self.name, WARNING, self._refusal(None, refused), values | reason)
         if fault:
             reason = reason_value("no_router" if self._fault else "disk_error")
             return Status(self.name, WARNING, fault, values | reason)
@@ -150,6 +155,9 @@ class FleetSink(Sink):
             source = links[0].src if links else ""
             self._look(links[0].dst if links else "", source)
             if source and (token is None or host_of(source) != own.address):
+                if token is None:
+                    others = self._others(session, own, watched)
+                    self._began_ns = max([self._began_ns, *(other.began_ns + 1 for other in others)])
                 before, own = token, Presence(self._began_ns, str(session.zid()), host, host_of(source))
                 token = session.liveliness().declare_token(own.key(self._context.vehicle))
                 if before is not None:
@@ -183,23 +191,32 @@ class FleetSink(Sink):
 
     def _decide(self, session: zenoh.Session, own: Presence, watched: str) -> None:
         """Be in the fleet, unless another one of this name was first."""
-        replies = session.liveliness().get(watched, timeout=2.0)
-        keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
-        others = [who for who in presences(keys).get(self._context.vehicle, ()) if who.session != own.session]
-        rival = min(others, default=None)
+        rival = min(self._others(session, own, watched), default=None)
+        self._values["own"] = str(own)
         if rival is None or own < rival:
-            self._rival = None
+            if rival is not None and rival != self._refused:
+                log.warning("fleet: %s", self._refusal(None, rival))
+            self._rival, self._refused = None, rival
             if self._publisher is None:
                 self._appear(session)
             return
         if self._rival != rival:
-            self._rival, self._values["own"] = rival, str(own)
+            self._rival, self._refused = rival, None
             log.error("fleet: %s", self._refusal(rival))
         self._withdraw()
 
-    def _refusal(self, rival: Presence) -> str:
+    def _others(self, session: zenoh.Session, own: Presence, watched: str) -> list[Presence]:
+        """Further sessions by this vehicle's name."""
+        replies = session.liveliness().get(watched, timeout=2.0)
+        keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+        others = presences(keys).get(self._context.vehicle, ())
+        return [who for who in others if who.session != own.session]
+
+    def _refusal(self, first: Presence | None, refused: Presence | None = None) -> str:
+        """None: this vehicle."""
         name, own = self._context.vehicle, self._values.get("own", "this one")
-        return f"two vehicles are called {name}: {rival} was first, {own} is refused; give one another name"
+        who = f"{first or own} was first, {refused or own} is refused"
+        return f"two vehicles are called {name}: {who}; give one another name"
 
     def _appear(self, session: zenoh.Session) -> None:
         publisher = ZenohPublisher(

@@ -3,9 +3,11 @@
 import time
 from collections import Counter
 
-from service.encoding import ERROR, OK, encode_frame, encode_pose
+from service.cli import main
+from service.encoding import ERROR, OK, WARNING, encode_frame, encode_pose
 from service.publishing.commands import Answer
 from service.publishing.uplink import PRESENCES, presences
+from service.sinks import fleet_sink
 from service.sinks.fleet_sink import LOOK_S, FleetSink
 from tests.service.fleet.conftest import diagnostics, is_in_fleet
 from tests.service.mapstore.tile_makers import tile
@@ -111,18 +113,27 @@ def test_a_vehicle_without_its_router_looks_for_it_once_a_second(
 
 
 def test_of_two_vehicles_by_one_name_the_later_is_refused_with_both_addresses(
-    endpoint, start_vehicle, client
+    endpoint, start_vehicle, client, monkeypatch, site_file, capsys
 ):
+    """Also where its clock is years behind: a battery that was changed at night takes no vehicle away."""
     first = start_vehicle(endpoint, command=lambda verb, payload: Answer(True, b"first"))
-    second = start_vehicle(endpoint, waits=False, command=lambda verb, payload: Answer(True, b"second"))
+    with monkeypatch.context() as clock:
+        clock.setattr(fleet_sink.time, "time_ns", lambda: 1_000_000_000)
+        second = start_vehicle(endpoint, waits=False, command=lambda verb, payload: Answer(True, b"second"))
     wait_until(lambda: second.health().level == ERROR)
     keys = [str(reply.ok.key_expr) for reply in client.liveliness().get(PRESENCES, timeout=20.0)]
     both = presences(keys)["veh1"]
     assert len(both) == 2
-    assert all(str(presence) in second.health().message for presence in both)
+    words = f"{both[0]} was first, {both[1]} is refused; give one another name"
+    assert second.health().message.endswith(words)
+    wait_until(lambda: first.health().level == WARNING)
+    assert first.health().message.endswith(words)
+    assert main(["fleet", "status", "--site", site_file]) == 1
+    assert f"2 vehicles by this name: {both[0]} is in the fleet, {both[1]} refused" in capsys.readouterr().out
     assert answers(client) == ["first"]
     first.close()
     wait_until(lambda: is_in_fleet(second))
+    assert second.health().level == OK
     wait_until(lambda: answers(client) == ["second"])  # once the router knows of its commands
 
 
