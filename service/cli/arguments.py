@@ -316,7 +316,7 @@ def _add_site(commands: Any) -> None:
     build = _add(works, "build", "map all sessions, find how they lie to each other, and solve them as one")
     build.add_argument(
         "sessions",
-        nargs="+",
+        nargs="*",
         metavar="SESSION",
         help=f"{RECORDINGS}; the result of a replay; a stored map; a folder of them, or a URL of recordings",
     )
@@ -333,6 +333,13 @@ def _add_site(commands: Any) -> None:
         default=[],
         metavar="NAME",
         help="a session that is of this place although so much has changed in it; one each time",
+    )
+    build.add_argument(
+        "--forget",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a session that was left out, and is not named any more; one each time",
     )
     build.add_argument(
         "--config", type=local_path, metavar="CONFIG.yaml", help="map recordings with it instead"

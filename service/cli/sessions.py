@@ -273,10 +273,12 @@ def site(parsed: argparse.Namespace) -> int:
     from service.offline.replay.setup import ReplayOptions
     from service.offline.site.build import site_build, site_table, summary_of
 
+    if not parsed.sessions and not parsed.forget:
+        raise UsageError("name the sessions to add: recordings, results, or a folder of them")
     options = ReplayOptions(config=parsed.config, choice=choice_of(parsed))
     paths = [path_or_url(one) for one in parsed.sessions]
     with engine_of(parsed) as engine, progress("site build") as shown:
-        report = site_build(paths, options, parsed.out, engine, shown, parsed.join)
+        report = site_build(paths, options, parsed.out, engine, shown, parsed.join, parsed.forget)
     if parsed.json:
         print_result(report, as_json=True)
     else:

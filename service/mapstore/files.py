@@ -371,8 +371,11 @@ def _number(name: str) -> int:
 
 
 @contextmanager
-def only_writer(folder: Path) -> Iterator[None]:
-    """Makes the folder. Raises StorageError, also for each OSError inside."""
+def only_writer(folder: Path, of: Path | None = None) -> Iterator[None]:
+    """Makes the folder, which is that of the map, or one for work beside the map in `of`. Raises
+    StorageError, also for each OSError inside.
+    """
+    of = of or folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (path := folder / ".lock").open("w") as lock:
@@ -382,12 +385,12 @@ def only_writer(folder: Path) -> Iterator[None]:
                     raise BlockingIOError
             except BlockingIOError as error:
                 raise StorageError(
-                    f"{folder}: another process is writing this map; stop one of the two"
+                    f"{of}: another process is writing this map; stop one of the two"
                 ) from error
             yield
     except OSError as error:
-        before = "; the version before is untouched" if _versions_read(folder) else ""
-        raise StorageError(f"cannot save the map to {folder}: {words_of(error)}{before}") from error
+        before = "; the version before is untouched" if _versions_read(of) else ""
+        raise StorageError(f"cannot save the map to {of}: {words_of(error)}{before}") from error
 
 
 def _remove(path: Path) -> None:

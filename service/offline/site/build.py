@@ -46,14 +46,18 @@ def site_build(
     engine: Engine,
     progress: Progress,
     joined: Collection[str] = (),
+    forgotten: Collection[str] = (),
 ) -> dict[str, Any]:
     """Add sessions to the site map in `out`, or begin one; its outcome, for JSON: with the exit codes of the
     recordings given that could not be mapped, `failed`.
 
-    joined   names of sessions that are added also where the others contradict them
+    joined     names of sessions that are added also where the others contradict them
 
-    Raises UsageError where `joined` names no session, InputError where `out` holds another map or no session
-    can be used, StorageError where it cannot be written, and what a task failed by.
+    forgotten  names of sessions that were left out, and are named no more
+
+    Raises UsageError where `joined` names no session, or `forgotten` none that was left out, InputError where
+    `out` holds another map or no session can be used, StorageError where it cannot be written, and what a
+    task failed by.
     """
     refuse_unwritable_folder(out)
     site, left_out, number = _site_there(out)
@@ -65,7 +69,12 @@ def site_build(
         names = ", ".join(one.name for one in given)
         raise UsageError(f"--join {unknown[0]}: no such session among those given, which are {names}")
     given = [one for one in given if in_site.get(one.name) != one.digest]
-    left_out = {name: one for name, one in left_out.items() if name not in joined and one.digest}
+    if unknown := sorted(set(forgotten) - left_out.keys()):
+        names = ", ".join(left_out) or "none"
+        raise UsageError(f"--forget {unknown[0]}: no such session among those left out, which are {names}")
+    left_out = {
+        name: one for name, one in left_out.items() if name not in {*joined, *forgotten} and one.digest
+    }
     with _at_work(out):
         for leftover in (path for folder in (PATHS, KEPT, "") for path in (out / folder).glob(LEFTOVERS)):
             shutil.rmtree(leftover)
@@ -120,7 +129,7 @@ def _at_work(out: Path) -> Iterator[None]:
                 with suppress(OSError):  # it is not empty
                     out.rmdir()
 
-    with only_writer(out / WORK):
+    with only_writer(out / WORK, out):
         before_ending(clear)
         try:
             yield

@@ -3,6 +3,7 @@
 import errno
 import json
 import math
+import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
@@ -95,6 +96,20 @@ def test_a_drive_of_another_place_is_left_out_by_its_name(three):
     _, report = three
     assert list(report["left_out"]) == ["elsewhere"]
     assert "overlap too little" in report["left_out"]["elsewhere"]
+
+
+def test_a_drive_that_was_left_out_is_named_until_it_is_forgotten(three, tmp_path, capsys):
+    out = Path(shutil.copytree(three[0], tmp_path / "map", symlinks=True))
+    before = files_in(out)
+    assert main(["site", "build", "--out", str(out)]) == 64
+    assert main(["site", "build", "--out", str(out), "--forget", "b"]) == 64
+    assert "--forget b: no such session among those left out, which are elsewhere" in capsys.readouterr().err
+    assert list(json.loads((out / SITE_FILE).read_text())["left_out"]) == ["elsewhere"]
+    assert main(["site", "build", "--out", str(out), "--forget", "elsewhere", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report["left_out"], report["added"], names_in(report)) == ({}, 0, ["a", "b", "c"])
+    assert json.loads((out / SITE_FILE).read_text())["left_out"] == {}
+    assert files_in(out) == before
 
 
 def test_the_order_in_which_tasks_end_does_not_change_a_byte(two, drives, tmp_path):
@@ -305,7 +320,12 @@ def test_a_full_disk_is_reported_and_the_map_stays(grown, drives, monkeypatch):
     for step in ("growth.keep_graph", "paths.write_tum", "kept.write_arrays"):
         with monkeypatch.context() as patch:
             patch.setattr(f"service.offline.site.{step}", full)
-            with pytest.raises(StorageError, match="No space left on device"):
+            words = re.escape(f"to {grown}: No space left on device; the version before is untouched")
+            if step.startswith("paths"):
+                words = f"cannot write {grown}/paths/.*: No space"
+            if step.startswith("kept"):
+                words = f"cannot write {grown}/kept/.*: No space"
+            with pytest.raises(StorageError, match=words):
                 build([drives / "c"], grown)
         assert names_in(build([drives / "a"], grown)) == ["a", "b"]
     assert before.items() >= {name: one for name, one in files_in(grown).items() if "v00" in name}.items()
