@@ -111,6 +111,11 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {"match": lambda *_: None, "judge": lambda _, aligned, attempt: aligned, "explain": lambda *_: None},
     ),
     (
+        "walls alone decide where small objects pull a match ([38])",
+        f"{METHOD}.small_objects.SmallObjects",
+        {"without": lambda _, aligned, attempt: aligned},
+    ),
+    (
         "odometry that stands counts only where a vehicle can stand ([30])",
         "service.estimator.standstill.Standstill",
         {"is_uninformative": lambda *_: False},

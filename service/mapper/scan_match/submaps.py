@@ -10,6 +10,7 @@ from drivers.section import Section
 from service.geometry.poses import Floats
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.likelihood import SPLAT_REACH_CELLS, splat_likelihood
+from service.kernels.small_objects import pull_of_small_objects
 from service.kernels.static_score import (
     ENTERED_FREE,
     Observations,
@@ -147,6 +148,17 @@ class Submap:
         grid, observations = self.grid(), self._observations()
         static_residuals(xy_base, normals, pose, grid, observations, MIN_NORMAL_COSINE, *latest, residual_m)
         return residual_m
+
+    def pull_of_small_objects(
+        self, xy_base: Floats, normals: Floats, pose: Floats, variance_m2: float, prior_information: Floats
+    ) -> tuple[Floats, npt.NDArray[np.bool_]]:
+        """(3,) m, m, rad: how far small objects pull a match; and (N,) which returns are theirs."""
+        is_small, pull = np.empty(len(xy_base), np.bool_), np.empty(3)
+        grid, information = self.grid(), prior_information
+        pull_of_small_objects(
+            xy_base, normals, pose, grid, MIN_NORMAL_COSINE, variance_m2, information, is_small, pull
+        )
+        return pull, is_small
 
     def on_dynamic(self, xy_base: Floats, normals: Floats, pose: Floats) -> npt.NDArray[np.bool_]:
         """(N,) whether points are in cells not occupied over STATIC_PATH_M of the path."""

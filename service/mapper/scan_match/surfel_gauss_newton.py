@@ -49,6 +49,7 @@ from service.mapper.scan_match.moving_scene import MovingScene
 from service.mapper.scan_match.posts import Posts, SeenWalls, posts_of, walls_seen
 from service.mapper.scan_match.range_bias import RangeBias
 from service.mapper.scan_match.reckoning import SteadyMotion, velocity_variance
+from service.mapper.scan_match.small_objects import SmallObjects
 from service.mapper.scan_match.submaps import SURFEL_SIGMA_M, Submap, SurfelSubmaps
 from service.outputs import Reason, State
 
@@ -100,6 +101,7 @@ class SurfelGaussNewton:
         self._bias = RangeBias()
         self._usual_ratios: dict[str, float] = {}  # by laser
         self._steady = SteadyMotion()
+        self._objects = SmallObjects(self._align, config.degraded_sigma_m)
         self._scene = MovingScene(self._align, self._steady, config.degraded_sigma_m)
         self._was_contradicted = False  # the prediction, by the previous scan
         self._next_search_ns = 0  # next wide search at the earliest
@@ -181,7 +183,7 @@ class SurfelGaussNewton:
             return self._on_segment(attempt, local_map, reason, 0.0, False)
         if (static := self._scene.match(attempt, submap)) is not None:
             return self._followed(static, attempt)
-        aligned = self._align(attempt, attempt.prior.pose, submap)
+        aligned = self._objects.without(self._align(attempt, attempt.prior.pose, submap), attempt)
         is_usual = aligned.state != "lost" and aligned.result.share >= DOUBT_RATIO * attempt.usual_ratio
         if self._was_contradicted or not is_usual:
             aligned = self._searched(self._matched_at_constant_velocity(aligned, attempt), attempt)
