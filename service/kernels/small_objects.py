@@ -6,9 +6,8 @@ import numpy as np
 
 from service.kernels.arrays import Bool_1D, Float64_1D, Float64_2D
 from service.kernels.compiled import inner_kernel, kernel
+from service.kernels.linear3 import solve_3x3
 from service.kernels.normals import ROUND_OBJECT_M
-from service.kernels.linear3.py
-service.kernels.__pycache__.corridor-kernels-cpython-311-4dd0f568bafb.linear3.solve_3x3-33.py311.1. import solve_3x3
 from service.kernels.static_score import placed
 from service.kernels.surfels import SurfelGrid, find_surfels
 
