@@ -19,12 +19,20 @@ class Validity:
     """
 
     def __init__(
-        self, certificate: Path | None, key: Path | None, unix_s: Callable[[], float] = time.time
+        self,
+        certificate: Path | None,
+        key: Path | None,
+        unix_s: Callable[[], float] = time.time,
+        authority: Path | None = None,
     ) -> None:
-        """PEM files; None: there are none."""
+        """PEM files; None: there are none. authority: by which other machines judge it, if it is known."""
         self._files = None if certificate is None or key is None else (certificate, key)
         self._span_s = self._on_disk()
         self._unix_s = unix_s
+        self._authority = authority
+        self._is_of_authority = (
+            authority is None or self._files is None or _span_unix_s(*self._files, authority) is not None
+        )
 
     @property
     def until(self) -> str:
@@ -34,6 +42,11 @@ class Validity:
     def fault(self) -> str:
         """Why no other machine can connect, "" where it is valid."""
         now_s = self._unix_s()
+        if self._files is not None and self._span_s is not None and not self._is_of_authority:
+            return (
+                f"{self._files[0]} is not signed by {self._authority}: no other machine accepts it; bring "
+                "both files from one folder of corridor security init, and restart"
+            )
         if self._files is None or self._span_s is None or _holds(self._span_s, now_s):
             return ""
         begin, end, now = (
@@ -57,21 +70,23 @@ class Validity:
 def validity_of(security: SecurityConfig | None) -> Validity:
     """Of the certificate of Zenoh."""
     tls = None if security is None else security.tls
-    return Validity(None, None) if tls is None else Validity(tls.certificate, tls.key)
+    return Validity(None, None) if tls is None else Validity(tls.certificate, tls.key, authority=tls.ca)
 
 
 def _holds(span_s: tuple[float, float], now_s: float) -> bool:
     return span_s[0] <= now_s <= span_s[1]
 
 
-def _span_unix_s(certificate: Path, key: Path) -> tuple[float, float] | None:
-    """From when to when it is valid, as a client learns it in a handshake; None where there is none."""
+def _span_unix_s(certificate: Path, key: Path, authority: Path | None = None) -> tuple[float, float] | None:
+    """From when to when it is valid, as a client of the authority learns it in a handshake, or without one
+    each client; None where there is none.
+    """
     client, server = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     client.check_hostname = False
     client.verify_flags = ssl.VerifyFlags(client.verify_flags | NO_CHECK_TIME | ssl.VERIFY_X509_PARTIAL_CHAIN)
     to_client, to_server = ssl.MemoryBIO(), ssl.MemoryBIO()
     try:
-        client.load_verify_locations(certificate)
+        client.load_verify_locations(authority or certificate)
         server.load_cert_chain(certificate, key, password="")
         asking = client.wrap_bio(to_client, to_server)
         ends = asking, server.wrap_bio(to_server, to_client, server_side=True)

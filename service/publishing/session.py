@@ -126,6 +126,11 @@ def _explain(error: str, config: PublishingConfig) -> str:
             f"Zenoh cannot listen at {where}: this machine has no such address (yet); "
             "change publishing.listen; the host [::] takes every address"
         )
+    if "KeyMismatch" in error and config.secured is not None and (tls := config.secured.tls) is not None:
+        return (
+            f"Zenoh cannot listen at {where}: {tls.key} is not the key of {tls.certificate}; bring both "
+            "files from one folder of corridor security init"
+        )
     return f"Zenoh does not open with publishing.listen [{', '.join(config.listen)}]: {error}"
 
 

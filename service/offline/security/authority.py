@@ -52,6 +52,10 @@ class SiteFiles:
         for what in ("made", "renewed", "kept"):
             if names := getattr(self, what):
                 lines.append(f"{what}: {', '.join(names)}")
+        if self.renewed:
+            lines.append(
+                "a renewed .pem is in use once it is on its machine and the service there is restarted"
+            )
         lines.append(
             "ca.key signs certificates: keep it off the vehicles, which get ca.pem and their own two files"
         )

@@ -6,8 +6,10 @@ import pytest
 from service.encoding import OK, WARNING
 from service.errors import StorageError
 from service.offline.security.authority import Holder, init_site
-from service.publishing.certificate import Validity
+from service.publishing.certificate import Validity, validity_of
 from service.publishing.config import PublishingConfig
+from service.publishing.security import SecurityConfig
+from service.publishing.session import open_session
 from service.publishing.uplink import open_client
 from service.sinks.zenoh_sink import ZenohSink
 from tests.service.publishing.conftest import tls
@@ -29,6 +31,22 @@ def test_a_certificate_has_a_fault_where_it_is_not_valid_by_the_clock(site: Path
 
 def test_one_that_openssl_refuses_and_none_have_no_fault_here(site: Path):
     assert Validity(site / "veh1.pem", site / "ca.key").fault() == Validity(None, None).fault() == ""
+
+
+def test_one_of_another_authority_has_a_fault_for_no_client_accepts_it(site: Path, tmp_path: Path):
+    init_site(tmp_path, [Holder("veh1", "vehicle", ("localhost",))], 30)
+    files = tls(site, "veh1")
+    assert validity_of(SecurityConfig.model_validate({"tls": files})).fault() == ""
+    other = SecurityConfig.model_validate({"tls": {**files, "ca": str(tmp_path / "ca.pem")}})
+    words = f"{files['certificate']} is not signed by {tmp_path / 'ca.pem'}: no other machine accepts it"
+    assert validity_of(other).fault().startswith(words)
+
+
+def test_a_key_of_another_certificate_is_named(site: Path):
+    files = {**tls(site, "veh1"), "key": str(site / "veh2.key")}
+    config = PublishingConfig.model_validate({"listen": ("tls/127.0.0.1:0",), "security": {"tls": files}})
+    with pytest.raises(StorageError, match=r"veh2\.key is not the key of .*veh1\.pem; bring both"):
+        open_session(config)
 
 
 def test_one_that_was_renewed_on_the_disk_after_the_start_needs_a_restart_alone(tmp_path: Path):
