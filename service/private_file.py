@@ -3,6 +3,7 @@
 import os
 import stat
 from pathlib import Path
+from shlex import quote
 
 from service.errors import InputError, StorageError, words_of
 from service.readable import open_file
@@ -17,7 +18,7 @@ def read_private(path: Path, what: str, most_bytes: int) -> bytes:
     except (OSError, InputError) as error:
         raise StorageError(f"{path}: {what} cannot be read: {words_of(error)}") from error
     if mode & 0o077:
-        raise StorageError(f"{path}: others may read {what} (mode {mode:04o}); chmod 600 {path}")
+        raise StorageError(f"{path}: others may read {what} (mode {mode:04o}); chmod 600 {quote(str(path))}")
     return content
 
 

@@ -32,13 +32,20 @@ def tune(parsed: argparse.Namespace) -> int:
     options = ReplayOptions(config=parsed.config, profile=parsed.profile, choice=choice_of(parsed))
     sessions = group_sessions([path_or_url(one) for one in parsed.files])
     truths = truths_of(sessions, parsed.truth)
+    samples, faults = set(), list[str]()
+    for session in sessions:
+        try:
+            samples |= {kind for kind, _ in open_session(session, topics_of(options)).topics_of}
+        except InputError as error:
+            faults.append(str(error))
+    if faults:
+        raise InputError("\n".join([*faults, "leave them out: a search is over sessions that can be mapped"]))
     mapping = set_up(open_session(sessions[0], topics_of(options)), options).mapping
     if parsed.truth is None and not begins_in_stored(mapping):
         raise UsageError(
             f"--self: the profile {mapping.profile} stores no pose graph, by which a result is measured "
             "without a truth; give --truth, or --profile corridor"
         )
-    samples = {kind for one in sessions for kind, _ in open_session(one, topics_of(options)).topics_of}
     parameters = parameters_of(mapping, parsed.parameter, samples)
     if is_remote(out := path_or_url(parsed.out)):
         raise UsageError(f"--out {out}: the state of a search is on a disk; give a folder")

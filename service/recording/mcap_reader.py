@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from shlex import quote
 from typing import BinaryIO, Protocol
 
 from mcap.data_stream import ReadDataStream
@@ -156,7 +157,8 @@ def _unpack_first(file: Unpacked) -> str:
 
 
 def _recover(file: Unpacked) -> str:
-    return f"`corridor recover {file.given.with_suffix('') if file.is_packed else file.given}`"
+    given = file.given.with_suffix("") if file.is_packed else file.given
+    return f"`corridor recover {quote(str(given))}`"
 
 
 def _check_ends(file: Unpacked, stream: BinaryIO) -> None:

@@ -5,6 +5,7 @@ import stat
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from drivers.counted import counted
@@ -161,10 +162,11 @@ def _private(machine: Machine, who: str, path: Path, what: str) -> list[Finding]
         mode = stat.S_IMODE(there.stat().st_mode)
     except (OSError, InputError) as error:
         words = f"user {machine.user} cannot read {path}: {words_of(error)}"
-        return [fault(who, words, f"{what}, readable for the service", f"sudo chown {machine.user} {path}")]
+        remedy = f"sudo chown {machine.user} {quote(str(path))}"
+        return [fault(who, words, f"{what}, readable for the service", remedy)]
     if mode & 0o077:
-        words = f"others may read {path} (mode {mode:04o})"
-        return [fault(who, words, f"{what}, readable for the service alone", f"chmod 600 {path}")]
+        words, remedy = f"others may read {path} (mode {mode:04o})", f"chmod 600 {quote(str(path))}"
+        return [fault(who, words, f"{what}, readable for the service alone", remedy)]
     return []
 
 

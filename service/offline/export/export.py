@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import Literal
 
 from service.encoding import OCCUPANCY_GRID, ODOMETRY, Message, decode_grid, decode_pose
@@ -196,7 +197,7 @@ class _Session:
     def needed_geo(self, to: str) -> GeoReference:
         raise InputError(
             f"{self._source}: a session holds no geo-reference of its map, which {to} needs; "
-            f"corridor replay {self._source} --out DIR, then export DIR"
+            f"corridor replay {quote(str(self._source))} --out DIR, then export DIR"
         )
 
     def _messages(self, name: str, type_name: str) -> Iterator[Message]:
@@ -204,7 +205,7 @@ class _Session:
             topics = ", ".join(map(str, self._recording.topics)) or "nothing"
             raise InputError(
                 f"{self._source}: no {name} ({type_name}) in it; it holds {topics}. "
-                f"Map it first: corridor replay {self._source} --out DIR, then export DIR"
+                f"Map it first: corridor replay {quote(str(self._source))} --out DIR, then export DIR"
             )
         return self._recording.messages([name])
 

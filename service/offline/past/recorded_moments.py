@@ -10,6 +10,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 
@@ -53,7 +54,7 @@ class RecordedMoments:
             holds = ", ".join(map(str, recording.topics)) or "nothing"
             raise InputError(
                 f"{recording.paths[0]}: no /pose ({encoding.ODOMETRY}) in it, so there is nothing to look "
-                f"back at; it holds {holds}. Map it: corridor replay {recording.paths[0]} --web"
+                f"back at; it holds {holds}. Map it: corridor replay {quote(str(recording.paths[0]))} --web"
             )
         self._lasers = [
             topic.name

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -181,8 +182,8 @@ def _begin_result(out: Path, begun_in: Path | None) -> None:
     try:
         if (out / UNEDITED).exists():
             raise UsageError(
-                f"{out}: its map was edited (corridor map log {out / MAP_FOLDER}), and a new result would "
-                "replace it; name another folder by --out, or delete this one"
+                f"{out}: its map was edited (corridor map log {quote(str(out / MAP_FOLDER))}), and a new "
+                "result would replace it; name another folder by --out, or delete this one"
             )
         (out / DONE_FILE).unlink(missing_ok=True)
     except UsageError:

@@ -1,3 +1,4 @@
+import shlex
 from collections import Counter
 
 import pytest
@@ -126,10 +127,12 @@ def test_recover_mends_a_summary_that_cannot_be_read(tmp_path):
 
 
 def test_an_unfinished_file_is_refused_with_the_command_that_mends_it(tmp_path):
-    path = tmp_path / "s_0001.mcap"
+    path = tmp_path / "two words" / "s_0001.mcap"
+    path.parent.mkdir()
     write_file(path, drive(60), finish=False)
-    with pytest.raises(InputError, match=r"never finished; make it whole with `corridor recover .*active`"):
-        Recording([path.with_name(path.name + ".active")])
+    with pytest.raises(InputError, match=r"never finished; make it whole with `.*`") as caught:
+        Recording([active := path.with_name(path.name + ".active")])
+    assert shlex.split(str(caught.value).split("`")[1]) == ["corridor", "recover", str(active)]
 
 
 def test_what_is_no_mcap_or_not_there_is_refused(tmp_path):

@@ -223,6 +223,12 @@ def test_the_command_searches_real_drives_without_a_truth(
     assert (out / "tune.html").read_text().startswith("<!DOCTYPE html>")
     best, present = ({path.name for path in (out / name).iterdir()} for name in ("best", "present"))
     assert best == present
+    bad = [str(tmp_path / f"bad {name}.mcap") for name in "ab"]
+    for path in bad:
+        Path(path).write_bytes(b"garbage")
+    assert main(["tune", *sessions, *bad, "--self", *options]) == InputError.exit_code
+    refused = capfd.readouterr().err
+    assert all(f"{path} is no recording" in refused for path in bad)  # each, not only the first
     assert main(["tune", sessions[0], "--truth", str(tmp_path)]) == InputError.exit_code
     assert "the truth of" in capfd.readouterr().err
     assert main(["tune", *sessions, "--truth", sessions[0]]) == UsageError.exit_code
