@@ -1,14 +1,16 @@
 """Whether an own certificate is valid now, without the extra `security`."""
 
+import socket
 import ssl
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from service.publishing.security import SecurityConfig
+from service.publishing.security import SecurityConfig, TlsConfig
 
 UNTIL = "certificate_until"  # key of `until` in a row of health
+SHOWN_WITHIN_S = 2.0
 TIME = "%Y-%m-%d %H:%M:%S"
 NO_CHECK_TIME = 0x200000  # X509_V_FLAG_NO_CHECK_TIME of OpenSSL
 
@@ -71,6 +73,23 @@ def validity_of(security: SecurityConfig | None) -> Validity:
     """Of the certificate of Zenoh."""
     tls = None if security is None else security.tls
     return Validity(None, None) if tls is None else Validity(tls.certificate, tls.key, authority=tls.ca)
+
+
+def refused(address: tuple[str, int], tls: TlsConfig) -> str:
+    """Why a client with these files refuses the certificate that is shown at a host and port; "" where it
+    does not, or nothing answers there.
+    """
+    try:
+        client = ssl.create_default_context(cafile=tls.ca)
+        client.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
+        client.load_cert_chain(tls.certificate, tls.key, password="")
+        with socket.create_connection(address, SHOWN_WITHIN_S) as connection:
+            client.wrap_socket(connection, server_hostname=address[0]).close()
+    except ssl.SSLCertVerificationError as error:
+        return error.verify_message.rstrip(".")
+    except (OSError, ValueError):
+        return ""
+    return ""
 
 
 def _holds(span_s: tuple[float, float], now_s: float) -> bool:

@@ -10,8 +10,8 @@ import zenoh
 
 from drivers.zenoh_config import zenoh_config
 from service.errors import StorageError
-from service.publishing.certificate import validity_of
-from service.publishing.config import PublishingConfig
+from service.publishing.certificate import refused, validity_of
+from service.publishing.config import PublishingConfig, tcp_address
 from service.publishing.keys import ROOT, alive_key
 from service.publishing.security import link_settings
 from service.publishing.session import own_internet_sockets
@@ -52,8 +52,22 @@ def open_client(config: PublishingConfig, further: Mapping[str, object] = {}) ->
         reason = str(error).partition(" at /")[0]
         is_tls = any(one.startswith("tls/") for one in config.connect)
         both = ", and are the certificates of both valid and of one authority" if is_tls else ""
-        hint = validity_of(config.secured).fault() or f"is it running{both}?"
+        hint = validity_of(config.secured).fault() or _refused(config) or f"is it running{both}?"
         raise StorageError(f"no router at {', '.join(config.connect)}: {hint} ({reason})") from error
+
+
+def _refused(config: PublishingConfig) -> str:
+    """Whose certificate is not accepted here, of the routers in `connect`: Zenoh reports a time-out."""
+    if config.secured is None or (tls := config.secured.tls) is None:
+        return ""
+    for endpoint in config.connect:
+        address = tcp_address(endpoint) if endpoint.startswith("tls/") else None
+        if address is not None and (why := refused(address, tls)):
+            return (
+                f"it answers, and {tls.ca} does not accept its certificate: {why}; corridor security init "
+                "makes one for the host in connect, by the same authority"
+            )
+    return ""
 
 
 def open_uplink(config: PublishingConfig) -> zenoh.Session:

@@ -24,6 +24,7 @@ from service.fleet.vehicles import Vehicle, read_vehicles
 from service.fleet.watch import Watch
 from service.offline.security.authority import Holder, init_site
 from service.publishing.config import PublishingConfig
+from service.publishing.session import open_session as open_router
 from service.publishing.uplink import open_client as open_client_of
 from tests.service.cli.test_commands import code_of
 from tests.service.fleet.conftest import diagnostics, router_config
@@ -170,6 +171,31 @@ def test_a_router_that_does_not_say_who_is_there_is_an_error_and_no_empty_fleet(
             wait_until(lambda: list(vehicles_module.present(session)) == ["veh1"])
         process.send_signal(signal.SIGTERM)
         assert process.wait(20.0) == 0
+
+
+@pytest.mark.parametrize(
+    ("hosts", "is_other", "words"),
+    [
+        (("site.example",), False, "IP address mismatch, .* '127.0.0.1'"),
+        (("127.0.0.1",), True, "unable to get"),
+    ],
+)
+def test_a_client_says_why_it_refuses_the_certificate_of_a_router(endpoint, tmp_path, hosts, is_other, words):
+    """Zenoh reports a time-out."""
+    secured = endpoint.replace("tcp", "tls")
+    init_site(tmp_path, [Holder("router", "operator", hosts), Holder("anna", "operator")], 30)
+    files = tls(tmp_path, "anna")
+    if is_other:
+        init_site(tmp_path / "other", [Holder("anna", "operator")], 30)
+        files = tls(tmp_path / "other", "anna")
+    listen = {"listen": [secured], "security": {"tls": tls(tmp_path, "router")}}
+    router = open_router(PublishingConfig.model_validate(listen))
+    try:
+        config = PublishingConfig.model_validate({"connect": [secured], "security": {"tls": files}})
+        with pytest.raises(StorageError, match=f"does not accept its certificate: {words}"):
+            open_client_of(config)
+    finally:
+        router.close()
 
 
 def test_a_router_whose_certificate_has_expired_says_so(endpoint, tmp_path):
