@@ -11,7 +11,7 @@ from service.kernels.normals import ROUND_OBJECT_M
 from service.kernels.static_score import placed
 from service.kernels.surfels import SurfelGrid, find_surfels
 
-MIN_RETURNS = 10  # of all such objects: fewer pull no match
+MIN_PULLING = 10  # returns of all such objects: fewer pull no match
 # Between neighbouring returns: a larger one ends a run; the second for each metre between their beams.
 RUN_GAP_M, RUN_GAP_STEPS = 0.3, 4.0
 
@@ -34,7 +34,7 @@ def pull_of_small_objects(
     """
     count = mark_small_runs(xy_base, normals, is_small)
     pull[:] = 0.0
-    if count < MIN_RETURNS:
+    if count < MIN_PULLING:
         return
     small_xy = np.empty((count, 2))
     small_normals = np.empty((count, 3))
