@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from service.geometry.chi2 import CHI2_999_OF_3
+from service.geometry.chi2 import CHI2_99_OF_3, CHI2_999_OF_3
 from service.mapper.judgement import MIN_CONFIRMING
 from service.mapper.scan_match.attempt import Aligned, Attempt, Matrix, chi2_of
 from service.mapper.scan_match.submaps import Submap
@@ -50,6 +50,8 @@ class SmallObjects:
         result = walls.result
         if walls.state == "lost" or result.weakest_sigma_m > self._degraded_sigma_m:
             return aligned
+        if chi2_of(walls.pose, attempt.prior) > max(chi2_of(aligned.pose, attempt.prior), CHI2_99_OF_3):
+            return aligned  # less likely by the prediction
         at_walls = attempt.prior._replace(pose=result.pose, covariance=result.covariance + CELL_COVARIANCE)
         is_apart = chi2_of(aligned.pose, at_walls) > CHI2_999_OF_3
         return walls if is_apart and result.used >= MIN_CONFIRMING else aligned
