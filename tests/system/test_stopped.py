@@ -28,13 +28,13 @@ def test_nothing_of_a_service_that_is_ended_lives_on_where_all_of_its_processes_
         tmp_path, {"front": {"type": "sick_lms100", "host": "127.0.0.1", "port": free_port()}}
     )
     its: list[int] = []
+    process = subprocess.Popen(
+        [Path(sys.executable).parent / "corridor", "run", service.config],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"NOTIFY_SOCKET": service.systemd.address},
+    )
     try:
-        process = subprocess.Popen(
-            [Path(sys.executable).parent / "corridor", "run", service.config],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=os.environ | {"NOTIFY_SOCKET": service.systemd.address},
-        )
         service.systemd.wait_for("READY=1", PATIENCE_S)
         (mapper,) = (one.pid for one in alive() if one.parent == process.pid)
 
@@ -56,6 +56,8 @@ def test_nothing_of_a_service_that_is_ended_lives_on_where_all_of_its_processes_
         assert process.returncode == (0 if number == signal.SIGTERM else -number), log  # nothing is lost
         wait_until(lambda: not any(map(look_at, its)), words="they live on")
     finally:
+        process.kill()
+        process.communicate()
         for pid in filter(look_at, its):
             os.kill(pid, signal.SIGKILL)
         service.close()
