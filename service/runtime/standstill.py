@@ -10,6 +10,8 @@ STUCK_S = 10.0  # items wait, and the mapper has sent nothing for so long: it is
 # So early where it was stopped for half of that, or computed for half of it and has announced no long work:
 # a scan takes milliseconds, and one that a busy machine leaves without a processor does neither.
 STILL_S = 2.0
+# Announced work, such as beginning in the map of a large site, may compute for so long, and take so long.
+LONG_COMPUTED_S, LONG_WORK_S = 30.0, 120.0
 
 
 class Standstill:
@@ -87,5 +89,7 @@ class MapperSilence:
         if self.seconds <= STILL_S / 2.0:
             return False
         still_s, computed_s = self._standstill.seconds(pid)
-        idle_s = still_s if self._long_works else max(still_s, computed_s)
-        return self.seconds > STUCK_S or (self.seconds > STILL_S and idle_s > STILL_S / 2.0)
+        is_still = self.seconds > STILL_S and still_s > STILL_S / 2.0
+        if self._long_works:
+            return is_still or computed_s > LONG_COMPUTED_S or self.seconds > LONG_WORK_S
+        return is_still or self.seconds > (STILL_S if computed_s > STILL_S / 2.0 else STUCK_S)
