@@ -48,7 +48,7 @@ from service.kernels.filter_state import (
 from service.kernels.increments import MAX_SILENT_S
 from service.kernels.source_noise import begin_motion
 from service.kernels.sweep import begin_twist, deskew_sweep, motion_at
-from service.kernels.tracks import SPEED_WINDOW_NS
+from service.kernels.tracks import SPEED_WINDOW_NS, Track
 from service.outputs import NO_REASON, Reason
 
 log = logging.getLogger(__name__)
@@ -99,7 +99,7 @@ class Estimator:
             fault_noise=FAULT_NOISE,
         )
         self._odometry, self._gyro = Samples(5), Samples(2)
-        self._silent = self._odometry.track._replace(span=np.zeros(2, np.int64))  # odometry without samples
+        self._silent = Samples(5)  # odometry without samples
         self._gyro_rate = 0.0
         self._jump_reported_ns = 0  # next warning at the earliest
         self._still = Standstill()
@@ -170,9 +170,10 @@ class Estimator:
         else:
             self._elapsed_s = (stamp_ns - int(state["stamp_ns"])) * 1e-9
             if self._elapsed_s > PAUSE_NS * 1e-9:
-                pause_s = self._odometry.longest_pause_s(int(state["stamp_ns"]), stamp_ns)
+                pause_s = self._used_odometry.longest_pause_s(int(state["stamp_ns"]), stamp_ns)
             self._predict(stamp_ns)
-            if pause_s > 0.0 and self._odometry.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= SPEED_WINDOW_NS:
+            used = self._used_odometry
+            if pause_s > 0.0 and used.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= SPEED_WINDOW_NS:
                 self._begin_twist(stamp_ns)
         is_unconfirmed_stop, self._is_unconfirmed_stop = self._is_unconfirmed_stop, False
         self._odometry.drop_before(stamp_ns - KEEP_BEFORE_NS)
@@ -211,8 +212,17 @@ class Estimator:
             is_unconfirmed_stop=is_unconfirmed_stop and pause_s > 0.0,
             increment=self._increment(),
             samples_dropped=samples_dropped,
-            deskew=partial(deskew_sweep, self._record, self._odometry.track, self._gyro.track),
+            deskew=partial(deskew_sweep, self._record, *self._tracks),
         )
+
+    @property
+    def _used_odometry(self) -> Samples:
+        """Of odometry that has never moved none is a measurement."""
+        return self._silent if self._still.is_unproven else self._odometry
+
+    @property
+    def _tracks(self) -> tuple[Track, Track]:
+        return self._used_odometry.track, self._gyro.track
 
     @property
     def _covariances(self) -> list[Matrix]:
@@ -229,7 +239,6 @@ class Estimator:
 
     def _predict(self, stamp_ns: int) -> None:
         """Propagate state and covariances to the time of a scan."""
-        tracks = self._silent if self._still.is_unproven else self._odometry.track, self._gyro.track
         if self._standing is not None and self._stands_until_ns(stamp_ns) is None:
             if self._standing.is_repeated and not self._still.is_unproven:  # it moves: until then it stood
                 self._covariance[:] = self._standing.covariance
@@ -237,8 +246,8 @@ class Estimator:
                 self._begin_twist(int(self.filter["stamp_ns"]))
             self._standing = None
         if self._consistent is not None:
-            predict_motion(self._consistent.view(self._record), *tracks, stamp_ns)
-        predict_motion(self._record, *tracks, stamp_ns)
+            predict_motion(self._consistent.view(self._record), *self._tracks, stamp_ns)
+        predict_motion(self._record, *self._tracks, stamp_ns)
 
     def _increment(self) -> OdometryIncrement | None:
         """The newest odometry increment, with the learnt noise, at least that of the model."""
@@ -289,9 +298,8 @@ class Estimator:
 
     def moved(self, seconds: float) -> Motion:
         pose, twist, covariance = np.empty(3), np.empty(3), np.empty((3, 3))
-        tracks = self._odometry.track, self._gyro.track
         record = self._record if self._consistent is None else self._consistent.view(self._record)
-        motion_at(record, *tracks, seconds, pose, twist, covariance)
+        motion_at(record, *self._tracks, seconds, pose, twist, covariance)
         forward, left, turn = twist.tolist()
         if self._origin_ns == int(self.filter["stamp_ns"]) + round(seconds * 1e9):
             pose[:] = 0.0  # the origin of `odom`, without rounding errors

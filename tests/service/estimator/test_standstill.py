@@ -106,6 +106,19 @@ def test_a_standstill_before_the_first_motion_is_measured_once_odometry_moves(
     assert not known or found.pose_odom_base.x_m == pytest.approx(path_m, abs=0.1)
 
 
+def test_odometry_that_has_never_moved_measures_no_motion_while_the_laser_is_silent() -> None:
+    """Its vehicle may be towed meanwhile, and its sweeps are deskewed by the scans."""
+    model = Estimator(EstimatorConfig())
+    for stamp_ms in range(0, 9_001, 20):
+        assert model.add(odometry(stamp_ms, SE2()))
+        if stamp_ms <= 2000 or stamp_ms == 9000:
+            predicted = model.predict(stamp_ms * MS)
+            if stamp_ms < 9000:
+                model.correct(matched(SE2(), SURE))
+    assert predicted.pause_s == pytest.approx(7.0)
+    assert is_loose(sigmas_of(predicted.local_covariance))
+
+
 def test_a_position_that_repeats_while_the_heading_changes_is_no_standstill() -> None:
     """The encoder dies, the heading comes from a gyro; scans measure the motion to 15 mm."""
     model, random = Estimator(EstimatorConfig()), np.random.default_rng(5)
