@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from service.kernels import small_objects
 from service.kernels.normals import ROUGH_WEIGHT
-from service.kernels.small_objects import mark_small_runs
 from service.mapper.profiles import mapping_config
 from simulators.worlds import WORLDS
 from tests.accuracy.sensors import LUX_AHEAD
@@ -46,7 +46,7 @@ def test_a_run_of_returns_as_narrow_as_a_person_is_small(
     )
     normals[0, 2] = 0.0  # no normal: of no object
     is_small = np.zeros(len(xy_base), np.bool_)
-    marked = mark_small_runs.py_func(xy_base, normals, is_small)
+    marked = small_objects.mark_small_runs.py_func(xy_base, normals, is_small)
     expected = np.repeat(small, 12)
     expected[0] = False
     np.testing.assert_array_equal(is_small, expected)
