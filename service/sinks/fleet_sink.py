@@ -207,7 +207,7 @@ class FleetSink(Sink):
 
     def _others(self, session: zenoh.Session, own: Presence, watched: str) -> list[Presence]:
         """Further sessions by this vehicle's name."""
-        replies = session.liveliness().get(watched, timeout=2.0)
+        replies = session.liveliness().get(watched, timeout=10.0)  # on a busy machine 2 s are too few
         keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
         others = presences(keys).get(self._context.vehicle, ())
         return [who for who in others if who.session != own.session]
