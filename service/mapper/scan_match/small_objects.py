@@ -45,16 +45,24 @@ class SmallObjects:
         pull, may_move = aligned.submap.pull_of_small_objects(xy_base, normals, *arguments)
         if not _is_far(pull):
             return aligned
-        normals = np.where(may_move[:, None], 0.0, attempt.normals)
-        walls = self._align(attempt._replace(normals=normals), attempt.prior.pose, aligned.submap, False)
+        alone = attempt._replace(normals=np.where(may_move[:, None], 0.0, attempt.normals))
+        walls = self._align(alone, attempt.prior.pose, aligned.submap, False)
+        if not self._is_pulled_from(walls, aligned, attempt):
+            return aligned
+        # Where walls have two optima, the one near the prediction may be the worse: odometry may be wrong.
+        nearer = self._align(alone, pose, aligned.submap, False)
+        best = max(walls, nearer, key=lambda one: one.result.share)
+        return best if self._is_pulled_from(best, aligned, attempt) else aligned
+
+    def _is_pulled_from(self, walls: Aligned, aligned: Aligned, attempt: Attempt) -> bool:
+        """Whether a match of the walls fixes the pose and excludes that of the entire scan."""
         result = walls.result
         if walls.state == "lost" or result.weakest_sigma_m > self._degraded_sigma_m:
-            return aligned
+            return False
         if chi2_of(walls.pose, attempt.prior) > max(chi2_of(aligned.pose, attempt.prior), CHI2_99_OF_3):
-            return aligned  # less likely by the prediction
+            return False  # less likely by the prediction
         at_walls = attempt.prior._replace(pose=result.pose, covariance=result.covariance + CELL_COVARIANCE)
-        is_apart = chi2_of(aligned.pose, at_walls) > CHI2_999_OF_3
-        return walls if is_apart and result.used >= MIN_CONFIRMING else aligned
+        return result.used >= MIN_CONFIRMING and chi2_of(aligned.pose, at_walls) > CHI2_999_OF_3
 
 
 def _is_far(pull: Matrix) -> bool:

@@ -1,11 +1,14 @@
 """People who walk beside the vehicle, and a laser that has nothing else to go by."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from service.kernels import small_objects
 from service.kernels.normals import ROUGH_WEIGHT
 from service.mapper.profiles import mapping_config
+from service.offline.replay.replay import ReplayOptions, replay
 from simulators.worlds import WORLDS
 from tests.accuracy.sensors import LUX_AHEAD
 from tests.simulated import begun_at, drive, heading_rad, run
@@ -17,6 +20,15 @@ def test_a_laser_alone_does_not_follow_people_who_walk_with_the_vehicle_from_the
     done = run(mapping_config(), made)
     assert np.hypot(*done.errors[:, :2].T).max() < 0.05
     assert {output.state for output in done.outputs} == {"ok"}
+
+
+def test_walls_that_fit_at_two_poses_do_not_bend_the_map_towards_the_prediction(shared: Path) -> None:
+    """Odometry turns late among desks that stand still. By the walls, which are square, it turned 64 deg."""
+    done = replay([shared / "datasets" / "mines1" / "mines1.mcap"], ReplayOptions())
+    stamp_s = [output.stamp_ns * 1e-9 for output in done.outputs]
+    heading_rad = np.unwrap([output.pose_odom_base.theta_rad for output in done.outputs])
+    begin_deg, end_deg = np.degrees(np.interp([224.0, 228.0], stamp_s, heading_rad))
+    assert 58.0 < end_deg - begin_deg < 68.0  # 55.5 with the optimum near the prediction alone
 
 
 def run_of(centre: tuple[float, float], width_m: float, count: int = 12) -> np.ndarray:
