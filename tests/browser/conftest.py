@@ -3,8 +3,10 @@
 import json
 import os
 import shutil
+import socket
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
+from functools import partial
 from itertools import cycle, islice, product
 from pathlib import Path
 from typing import Any
@@ -28,7 +30,6 @@ from tests.service.web.conftest import (
     TOKEN,
     FakeDispatcher,
     dispatcher,  # noqa: F401 - a fixture
-    serve,  # noqa: F401 - a fixture
     served,
     store,  # noqa: F401 - a fixture
 )
@@ -44,6 +45,7 @@ ARGUMENTS = (  # nothing of its own on the network
     *("--renderer-process-limit=1", "--disable-site-isolation-trials", "--disable-extensions"),
     "--disable-features=SpareRendererForSitePerProcess",
 )
+FIRST_PORT, PORTS = 20_000, 6_000  # none that a system hands out by itself
 DESKTOP, PHONE = (1280, 800), (390, 844)
 WIDE_CARDS = "[...document.querySelectorAll('.card')].filter((c) => c.scrollWidth > c.clientWidth)"
 
@@ -213,7 +215,8 @@ def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chr
 def page(chromium: webdriver.Chrome) -> Iterator[Page]:
     """Of desktop size, light; a browser that remembers nothing."""
     opened = Page(chromium)
-    opened.leave()  # one that is shared
+    if chromium.current_url.startswith("http"):
+        opened.leave()  # one that is shared
     opened.resize(DESKTOP)
     yield opened
     opened.leave()
@@ -239,6 +242,23 @@ def share(request: pytest.FixtureRequest, chromium: webdriver.Chrome) -> Iterato
     chromium.get_log("browser")
     if request.session.testsfailed > failed_before:
         shared.leave()  # a test that failed may have left anything there
+
+
+@pytest.fixture(scope="session")
+def address() -> str:
+    """Where the page of each test is in turn: of one address, the browser compiles it only once."""
+    first = FIRST_PORT + os.getpid() % PORTS  # tests that run at the same time have others
+    for port in range(first, first + PORTS):
+        with suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            return f"127.0.0.1:{port}"
+    raise AssertionError(f"no port from {first} on is free")
+
+
+@pytest.fixture
+def serve(store: Any, dispatcher: FakeDispatcher, address: str) -> Iterator[Callable[..., Any]]:  # noqa: F811
+    """Starts the page, one in a test."""
+    with served(store, dispatcher.answer) as start:
+        yield partial(start, listen=address)
 
 
 @pytest.fixture
@@ -268,7 +288,7 @@ def begin_live(server: Any, scene: Scene, page: Page, token: str = TOKEN, verbs:
 
 
 @pytest.fixture
-def live(serve: Callable[..., Any], scene: Scene, page: Page, tmp_path: Path) -> Any:  # noqa: F811
+def live(serve: Callable[..., Any], scene: Scene, page: Page, tmp_path: Path) -> Any:
     """A service at the scene's second 1, open in the browser with the token."""
     server = serve(folders=stores(tmp_path))
     begin_live(server, scene, page)
@@ -302,12 +322,12 @@ def still(share: Callable[..., Page], still_server: Any) -> Page:
 
 
 @pytest.fixture
-def opened(page: Page) -> Iterator[Callable[..., View]]:
+def opened(page: Page, address: str) -> Iterator[Callable[..., View]]:
     """Opens a stored map on the page, its area Edit shown; closes it again."""
     with ExitStack() as stack:
 
         def open_one(source: Path, version: int = 1) -> View:
-            view = stack.enter_context(closing(View(source, "127.0.0.1:0")))
+            view = stack.enter_context(closing(View(source, address)))
             open_view(page, view, version)
             return view
 

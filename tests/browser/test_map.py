@@ -140,57 +140,6 @@ def test_no_line_is_shown_across_a_jump_of_the_pose(page, live):
     assert also_driven == driven != leapt
 
 
-def test_poses_of_two_lasers_at_one_moment_are_of_one_run(still):
-    kept = still.of_module(
-        "geometry.js",
-        "((track) => { a[0].forEach((pose) => track.add(pose)); return track.poses.map((p) => p.number); })"
-        "(new m.PoseTrack())",
-        [{"number": k, "stamp_s": stamp_s} for k, stamp_s in enumerate((5.0, 1.0, 1.5, 1.5, 2.0))],
-    )
-    assert kept == [1, 3, 4]  # the first is of another run
-
-
-def test_keys_and_mouse_move_zoom_and_turn_the_map(still):
-    canvas = still.element("map")
-    still.look_at(0.0, 0.0, 40.0)
-    for key, camera in (
-        (Keys.ARROW_RIGHT, [1.5, 0.0, 40.0, 0.0]),
-        (Keys.ARROW_UP, [1.5, 1.5, 40.0, 0.0]),
-        ("+", [1.5, 1.5, 50.0, 0.0]),
-        ("[", [1.5, 1.5, 50.0, math.pi / 12]),
-        ("n", [1.5, 1.5, 50.0, 0.0]),
-        ("-", [1.5, 1.5, 40.0, 0.0]),
-    ):
-        canvas.send_keys(key)
-        assert still.run(CAMERA) == pytest.approx(camera), key
-    for key, is_on in (("", "false"), ("f", "true")):
-        canvas.send_keys(key)
-        assert still.element("follow").get_attribute("aria-pressed") == is_on
-    still.look_at(0.0, 0.0, 40.0)
-    still.pointer().drag_and_drop_by_offset(canvas, -80, 40).perform()
-    assert still.run(CAMERA)[:2] == pytest.approx([2.0, 1.0])
-    under = still.run("return corridor.view.camera.toMap(100, 300)")
-    still.run(
-        "document.getElementById('map').dispatchEvent(new WheelEvent('wheel',"
-        "{deltaY: -300, clientX: arguments[0], clientY: arguments[1], cancelable: true}))",
-        canvas.rect["x"] + 100,
-        canvas.rect["y"] + 300,
-    )
-    assert still.run(CAMERA)[2] > 50.0
-    assert still.run("return corridor.view.camera.toMap(100, 300)") == pytest.approx(under, abs=0.02)
-
-
-def test_a_distance_is_measured_by_two_clicks(still):
-    still.look_at(0.0, 0.0, 40.0)
-    still.element("measure").click()
-    canvas = still.element("map")
-    for dx, dy in ((0, 0), (120, 160)):
-        still.pointer().move_to_element_with_offset(canvas, dx, dy).click().perform()
-    still.wait_for_text("hint", "5.00 m (x 3.00 m, y -4.00 m)")
-    canvas.send_keys(Keys.ESCAPE)
-    assert not still.element("hint").is_displayed()
-
-
 def test_a_map_that_is_still_coming_is_all_in_view_until_somebody_moves_it(page, serve, store):
     first, *others = Scene(half_x_m=30.0, store=store).tiles()
 
@@ -307,17 +256,6 @@ def test_what_changed_since_a_moment_is_a_layer(page, scene, live):
     assert page.report()["change"] == {"appeared": 0, "gone": 0}
 
 
-def test_a_picture_is_rendered_within_a_frame_on_a_phones_processor(still):
-    """A quarter of this machine's speed; 60 pictures a second leave 16.7 ms for each. Here: 0.7 to 1.1 ms."""
-    median_ms = still.driver.execute_async_script(
-        "const done = arguments[0], v = corridor.view; v.follow(false); v.render_ms.length = 0;"
-        "const step = () => { v.camera.panBy(6, 3); v.invalidate();"
-        " if (v.render_ms.length < 30) requestAnimationFrame(step);"
-        " else done(v.render_ms.toSorted((a, b) => a - b)[15]); }; step();"
-    )
-    assert 4 * median_ms < 16.7
-
-
 LOOP_S = 0.35  # processor time of the loop below on this machine, where no host slows it down
 
 
@@ -345,3 +283,65 @@ def test_the_page_is_open_within_a_second_of_a_phones_processor(page, live):
     )
     assert fetched == []
     assert found_late == []  # all modules are fetched at once
+
+
+def test_poses_of_two_lasers_at_one_moment_are_of_one_run(still):
+    kept = still.of_module(
+        "geometry.js",
+        "((track) => { a[0].forEach((pose) => track.add(pose)); return track.poses.map((p) => p.number); })"
+        "(new m.PoseTrack())",
+        [{"number": k, "stamp_s": stamp_s} for k, stamp_s in enumerate((5.0, 1.0, 1.5, 1.5, 2.0))],
+    )
+    assert kept == [1, 3, 4]  # the first is of another run
+
+
+def test_keys_and_mouse_move_zoom_and_turn_the_map(still):
+    canvas = still.element("map")
+    still.look_at(0.0, 0.0, 40.0)
+    for key, camera in (
+        (Keys.ARROW_RIGHT, [1.5, 0.0, 40.0, 0.0]),
+        (Keys.ARROW_UP, [1.5, 1.5, 40.0, 0.0]),
+        ("+", [1.5, 1.5, 50.0, 0.0]),
+        ("[", [1.5, 1.5, 50.0, math.pi / 12]),
+        ("n", [1.5, 1.5, 50.0, 0.0]),
+        ("-", [1.5, 1.5, 40.0, 0.0]),
+    ):
+        canvas.send_keys(key)
+        assert still.run(CAMERA) == pytest.approx(camera), key
+    for key, is_on in (("", "false"), ("f", "true")):
+        canvas.send_keys(key)
+        assert still.element("follow").get_attribute("aria-pressed") == is_on
+    still.look_at(0.0, 0.0, 40.0)
+    still.pointer().drag_and_drop_by_offset(canvas, -80, 40).perform()
+    assert still.run(CAMERA)[:2] == pytest.approx([2.0, 1.0])
+    under = still.run("return corridor.view.camera.toMap(100, 300)")
+    still.run(
+        "document.getElementById('map').dispatchEvent(new WheelEvent('wheel',"
+        "{deltaY: -300, clientX: arguments[0], clientY: arguments[1], cancelable: true}))",
+        canvas.rect["x"] + 100,
+        canvas.rect["y"] + 300,
+    )
+    assert still.run(CAMERA)[2] > 50.0
+    assert still.run("return corridor.view.camera.toMap(100, 300)") == pytest.approx(under, abs=0.02)
+
+
+def test_a_distance_is_measured_by_two_clicks(still):
+    still.look_at(0.0, 0.0, 40.0)
+    still.element("measure").click()
+    canvas = still.element("map")
+    for dx, dy in ((0, 0), (120, 160)):
+        still.pointer().move_to_element_with_offset(canvas, dx, dy).click().perform()
+    still.wait_for_text("hint", "5.00 m (x 3.00 m, y -4.00 m)")
+    canvas.send_keys(Keys.ESCAPE)
+    assert not still.element("hint").is_displayed()
+
+
+def test_a_picture_is_rendered_within_a_frame_on_a_phones_processor(still):
+    """A quarter of this machine's speed; 60 pictures a second leave 16.7 ms for each. Here: 0.7 to 1.1 ms."""
+    median_ms = still.driver.execute_async_script(
+        "const done = arguments[0], v = corridor.view; v.follow(false); v.render_ms.length = 0;"
+        "const step = () => { v.camera.panBy(6, 3); v.invalidate();"
+        " if (v.render_ms.length < 30) requestAnimationFrame(step);"
+        " else done(v.render_ms.toSorted((a, b) => a - b)[15]); }; step();"
+    )
+    assert 4 * median_ms < 16.7

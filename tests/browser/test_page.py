@@ -23,20 +23,6 @@ def name_of(page, sensor):
     return page.driver.find_element("xpath", f"//section[@id='information']//button[contains(., '{sensor}')]")
 
 
-def test_the_state_and_its_reason_stand_on_top_and_move_no_figure(page, scene, live):
-    assert page.text("state") == "ok"
-    where = "return document.querySelector('#information .facts').getBoundingClientRect().top"
-    before = page.run(where)
-    reason = "front: 40 % of the beams, having waited up to 103 ms, disagree with the map; " * 3
-    live.put(scene.messages(2.0, "degraded", reason)[-1])
-    page.wait_for_text("state", "degraded")
-    assert page.text("reason") == reason
-    assert page.element("state").get_attribute("data-level") == "warn"
-    live.put(scene.messages(9.0, "degraded", reason)[-1])
-    page.wait_for_text("information", "for 0:07 min")
-    assert page.run(where) == before
-
-
 def test_sensors_and_figures_are_listed_and_a_fault_has_its_words(still):
     rows = still.text("information")
     assert "no route to 192.168.0.10" in rows
@@ -64,6 +50,72 @@ def test_all_that_a_sensor_tells_is_shown_while_its_name_is_pressed(still):
     assert still.driver.find_elements("css selector", ".details:not([hidden])") == []
 
 
+@pytest.mark.parametrize(
+    ("expression", "words"),
+    [
+        ("[-0.0004, -0.0006].map((x) => m.fixed(x, 3, ' m'))", ["0.000 m", "-0.001 m"]),  # no zero has a sign
+        ("[-0.0001, -0.01].map((x) => m.degrees(x))", ["0.0\u00b0", "-0.6\u00b0"]),
+        ("['', '95', '8130', '1.3e6'].map(m.deviceClock)", ["\u2013", "1:35 min", "2:15 h", "15 d"]),
+        (
+            "['852076800', '1795200000', '4004188800'].map(m.deviceClock)",
+            ["1997", "2026", "2026"],
+        ),  # last: NTP
+        ("[999, 1000, 2.5e6, 7e9].map(m.bytes)", ["999 B", "1.0 kB", "2.5 MB", "7.0 GB"]),
+    ],
+)
+def test_numbers_as_words(still, expression, words):
+    assert still.of_module("format.js", expression) == words
+
+
+def test_the_token_leaves_the_address_bar(still):
+    assert still.report()["mayControl"]
+    assert TOKEN not in still.driver.current_url
+    assert "#" not in still.driver.current_url
+
+
+def test_everything_can_be_reached_with_the_keyboard_and_tabs_by_arrow_keys(still):
+    still.run("document.activeElement.blur(); window.scrollTo(0, 0)")
+    reached = []
+    for _ in range(30):
+        still.pointer().send_keys(Keys.TAB).perform()
+        reached.append(still.driver.switch_to.active_element.get_attribute("id"))
+    assert {"theme", "map", "follow", "measure", "tab-information", "information"} <= set(reached)
+    still.element("tab-information").send_keys(Keys.ARROW_RIGHT)
+    assert still.element("control").is_displayed()
+    assert not still.element("information").is_displayed()
+    assert still.driver.switch_to.active_element.get_attribute("id") == "tab-control"
+
+
+def test_a_long_name_of_a_file_goes_on_after_an_underscore(still):
+    parts = still.run(
+        "const name = [...document.querySelectorAll('#information dd')]"
+        ".find((node) => node.textContent.startsWith('veh1_'));"
+        "return [...name.childNodes].map((node) => node.nodeName === 'WBR' ? '|' : node.data)"
+    )
+    assert parts == ["veh1_", "|", "20260101T000000Z_", "|", "0001.mcap"]
+
+
+def test_a_notice_that_comes_again_is_shown_once(still):
+    for _ in range(3):
+        still.of_module("dom.js", "m.notice('the disk is full', 'error')")
+    assert still.texts(".notice span") == ["the disk is full"]
+    still.press("Close notice")
+
+
+def test_the_state_and_its_reason_stand_on_top_and_move_no_figure(page, scene, live):
+    assert page.text("state") == "ok"
+    where = "return document.querySelector('#information .facts').getBoundingClientRect().top"
+    before = page.run(where)
+    reason = "front: 40 % of the beams, having waited up to 103 ms, disagree with the map; " * 3
+    live.put(scene.messages(2.0, "degraded", reason)[-1])
+    page.wait_for_text("state", "degraded")
+    assert page.text("reason") == reason
+    assert page.element("state").get_attribute("data-level") == "warn"
+    live.put(scene.messages(9.0, "degraded", reason)[-1])
+    page.wait_for_text("information", "for 0:07 min")
+    assert page.run(where) == before
+
+
 def test_the_scan_of_a_laser_is_shown_in_its_frame_and_beams_without_a_return_are_counted(page, live, scene):
     name_of(page, "front").click()
     scan = scene.scan("front", 1.1)
@@ -86,23 +138,6 @@ def test_the_scan_of_a_laser_is_shown_in_its_frame_and_beams_without_a_return_ar
     )
     assert left == 0
     assert right > 40  # beams that look to the right
-
-
-@pytest.mark.parametrize(
-    ("expression", "words"),
-    [
-        ("[-0.0004, -0.0006].map((x) => m.fixed(x, 3, ' m'))", ["0.000 m", "-0.001 m"]),  # no zero has a sign
-        ("[-0.0001, -0.01].map((x) => m.degrees(x))", ["0.0\u00b0", "-0.6\u00b0"]),
-        ("['', '95', '8130', '1.3e6'].map(m.deviceClock)", ["\u2013", "1:35 min", "2:15 h", "15 d"]),
-        (
-            "['852076800', '1795200000', '4004188800'].map(m.deviceClock)",
-            ["1997", "2026", "2026"],
-        ),  # last: NTP
-        ("[999, 1000, 2.5e6, 7e9].map(m.bytes)", ["999 B", "1.0 kB", "2.5 MB", "7.0 GB"]),
-    ],
-)
-def test_numbers_as_words(still, expression, words):
-    assert still.of_module("format.js", expression) == words
 
 
 def test_clocks_of_devices_are_judged_and_long_figures_stay_within_their_card(page, live):
@@ -154,41 +189,6 @@ def test_events_are_listed_newest_first_and_one_that_comes_again_within_ten_seco
         "mapping, lost, 9 % of the returns lie on the map (expected 45 %) (2 times)",
         "sensor, lidar12, down",
     ]
-
-
-def test_the_token_leaves_the_address_bar(still):
-    assert still.report()["mayControl"]
-    assert TOKEN not in still.driver.current_url
-    assert "#" not in still.driver.current_url
-
-
-def test_everything_can_be_reached_with_the_keyboard_and_tabs_by_arrow_keys(still):
-    still.run("document.activeElement.blur(); window.scrollTo(0, 0)")
-    reached = []
-    for _ in range(30):
-        still.pointer().send_keys(Keys.TAB).perform()
-        reached.append(still.driver.switch_to.active_element.get_attribute("id"))
-    assert {"theme", "map", "follow", "measure", "tab-information", "information"} <= set(reached)
-    still.element("tab-information").send_keys(Keys.ARROW_RIGHT)
-    assert still.element("control").is_displayed()
-    assert not still.element("information").is_displayed()
-    assert still.driver.switch_to.active_element.get_attribute("id") == "tab-control"
-
-
-def test_a_long_name_of_a_file_goes_on_after_an_underscore(still):
-    parts = still.run(
-        "const name = [...document.querySelectorAll('#information dd')]"
-        ".find((node) => node.textContent.startsWith('veh1_'));"
-        "return [...name.childNodes].map((node) => node.nodeName === 'WBR' ? '|' : node.data)"
-    )
-    assert parts == ["veh1_", "|", "20260101T000000Z_", "|", "0001.mcap"]
-
-
-def test_a_notice_that_comes_again_is_shown_once(still):
-    for _ in range(3):
-        still.of_module("dom.js", "m.notice('the disk is full', 'error')")
-    assert still.texts(".notice span") == ["the disk is full"]
-    still.press("Close notice")
 
 
 def test_without_the_token_one_only_looks(page, serve, scene, dispatcher):

@@ -163,8 +163,8 @@ def test_without_the_token_one_sees_the_moment_and_cannot_go_elsewhere(page, rec
     assert page.report()["moment"]["position_s"] == before
 
 
-def test_a_replay_that_is_finished_is_looked_back_at_until_another_begins(page, record_drive):  # noqa: F811
-    shown = ReplayPage("127.0.0.1:0", "lap", 0.0)
+def test_a_replay_that_is_finished_is_looked_back_at_until_another_begins(page, address, record_drive):  # noqa: F811
+    shown = ReplayPage(address, "lap", 0.0)
     try:
         done = replay([record_drive(scans=60)], ReplayOptions(), watch=shown)
         page.open(shown.address)
