@@ -17,9 +17,7 @@ from tests.waiting import wait_until
 EXIT_S = 7.0  # of an interpreter on a busy machine; 0.3 s on an idle one
 
 
-@pytest.mark.parametrize(
-    ("number", "is_replaced"), [(signal.SIGTERM, False), (signal.SIGKILL, False), (signal.SIGKILL, True)]
-)
+@pytest.mark.parametrize(("number", "is_replaced"), [(signal.SIGTERM, False), (signal.SIGKILL, True)])
 def test_nothing_of_a_service_that_is_ended_lives_on_where_all_of_its_processes_are_stopped(
     tmp_path: Path, number: signal.Signals, is_replaced: bool
 ):
