@@ -3,11 +3,14 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from drivers.frames import Frame, LaserScan
 from service.encoding import LogClock, encode_frame, encode_tf_static
 from service.geometry.se2 import SE2
+from service.offline.replay.replay import ReplayOptions, replay
+from service.outputs import MapperOutput
 from service.recording.mcap_recorder import McapRecorder
 from service.recording.mcap_source import open_session
 from simulators.worlds import WORLDS
@@ -27,6 +30,12 @@ def frames_of(path: Path, scans: float = math.inf) -> list[Frame]:
             break
         frames.append(frame)
     return frames
+
+
+@cache
+def mapped(dataset: Path) -> list[MapperOutput]:
+    """Of a recording with such a name in a folder of that name, replayed once for all tests."""
+    return replay([dataset / f"{dataset.name}.mcap"], ReplayOptions()).outputs
 
 
 def record(frames: Sequence[Frame], mountings: Mapping[str, SE2], folder: Path, begin_ns: int) -> Path:

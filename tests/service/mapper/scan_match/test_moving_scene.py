@@ -18,6 +18,7 @@ from service.mapper.scan_match.moving_scene import MovingScene, evidence_nats
 from service.mapper.scan_match.reckoning import Reckoning, SteadyMotion
 from service.offline.replay.replay import ReplayOptions, replay
 from service.outputs import NO_REASON, State
+from tests import recorded_drive
 from tests.accuracy.scene_drives import Case, staged
 from tests.accuracy.scene_judge import Verdict, judge
 from tests.accuracy.scenes import mapped
@@ -206,7 +207,6 @@ def test_given_recordings_of_a_scene_that_moves_end_where_the_vehicle_did(
 @pytest.mark.parametrize("name", ["mines1", in_soak("wean1"), in_soak("pioneer_lgfloor")])
 def test_noise_of_a_laser_and_of_wheels_is_no_moving_scene(shared: Path, name: str) -> None:
     """Nothing moves there: a URG-04LX with odometry 0.19 s late, a SICK in a corridor, a URG-04LX."""
-    done = replay([shared / "datasets" / name / f"{name}.mcap"], ReplayOptions())
-    reasons = [output.reason.id for output in done.outputs]
+    reasons = [output.reason.id for output in recorded_drive.mapped(shared / "datasets" / name)]
     assert reasons.count("scene_moves") <= 0.05 * len(reasons)
     assert reasons.count("drift") == 0

@@ -8,9 +8,9 @@ import pytest
 from service.kernels import small_objects
 from service.kernels.normals import ROUGH_WEIGHT
 from service.mapper.profiles import mapping_config
-from service.offline.replay.replay import ReplayOptions, replay
 from simulators.worlds import WORLDS
 from tests.accuracy.sensors import LUX_AHEAD
+from tests.recorded_drive import mapped
 from tests.simulated import begun_at, drive, heading_rad, run
 
 
@@ -24,9 +24,9 @@ def test_a_laser_alone_does_not_follow_people_who_walk_with_the_vehicle_from_the
 
 def test_walls_that_fit_at_two_poses_do_not_bend_the_map_towards_the_prediction(shared: Path) -> None:
     """Odometry turns late among desks that stand still. By the walls, which are square, it turned 64 deg."""
-    done = replay([shared / "datasets" / "mines1" / "mines1.mcap"], ReplayOptions())
-    stamp_s = [output.stamp_ns * 1e-9 for output in done.outputs]
-    heading_rad = np.unwrap([output.pose_odom_base.theta_rad for output in done.outputs])
+    outputs = mapped(shared / "datasets" / "mines1")
+    stamp_s = [output.stamp_ns * 1e-9 for output in outputs]
+    heading_rad = np.unwrap([output.pose_odom_base.theta_rad for output in outputs])
     begin_deg, end_deg = np.degrees(np.interp([224.0, 228.0], stamp_s, heading_rad))
     assert 58.0 < end_deg - begin_deg < 68.0  # 55.5 with the optimum near the prediction alone
 

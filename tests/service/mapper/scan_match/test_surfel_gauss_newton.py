@@ -9,10 +9,12 @@ import pytest
 from service.estimator.motion import Measurement, Prediction
 from service.geometry.se2 import SE2
 from service.mapper.components import Match, Points
+from service.mapper.profiles import build_mapper, mapping_config
 from service.mapper.scan_match.posts import walls_seen
 from service.mapper.scan_match.submaps import SubmapsConfig, SurfelSubmaps
 from service.mapper.scan_match.surfel_gauss_newton import SurfelGaussNewton, SurfelMatcherConfig
-from service.offline.replay.replay import ReplayOptions, replay
+from tests.recorded_drive import frames_of
+from tests.service.mapper.drives import outputs_of
 from tests.service.mapper.maps.points import match_at, points_of, prediction, square
 
 
@@ -264,7 +266,8 @@ def test_a_direction_is_open_once_the_vehicle_can_have_left_where_it_was_fixed(
 def test_odometry_that_repeats_a_pose_and_jumps_does_not_turn_the_map(shared: Path) -> None:
     """After 56 s odometry lacks 0.85 m and 50 deg, in 1.7 s without a scan."""
     folder = shared / "datasets" / "csail"
-    outputs = replay([folder / "csail.mcap"], ReplayOptions()).outputs
+    mapper = build_mapper(mapping_config(), {"scan": SE2()})
+    outputs = outputs_of(mapper, frames_of(folder / "csail.mcap", 72))
     reference = np.loadtxt(folder / "ref.csv")
     begin_ns = outputs[0].stamp_ns
     before, after = (next(o for o in outputs if o.stamp_ns > begin_ns + s * 1_000_000_000) for s in (50, 71))
