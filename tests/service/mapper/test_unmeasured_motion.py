@@ -56,7 +56,7 @@ def test_a_vehicle_carried_to_similar_walls_is_never_ok_at_a_wrong_place(world, 
 
 def test_a_corridor_that_looks_like_another_is_not_taken_for_it_where_dead_reckoning_leads_there():
     """The four of a ring look alike: one that is mapped, and the next one, where the vehicle is."""
-    of = staged(Case("lifted", "ring", 5, 0.53, 2.0, laser=LMS100_10HZ))
+    of = staged(Case("lifted", "ring", 5, 0.53, 2.0, laser=LMS100_10HZ), after_s=7.0)
     outputs = mapped(of).outputs
     verdict = judge(outputs, [of.made.truth[output.stamp_ns] for output in outputs], of.from_ns, of.to_ns)
     assert verdict.ok_off == 0
