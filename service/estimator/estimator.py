@@ -23,7 +23,8 @@ from service.estimator.motion import (
     scan_alone,
 )
 from service.estimator.samples import Samples
-from service.estimator.standstill import Standstill, UnprovenStandstill
+from service.estimator.standstill import MAX_BRAKING_MPS2, Standstill, UnprovenStandstill
+from service.estimator.wheel_slip import WheelSlip
 from service.geometry import poses
 from service.geometry.se2 import SE2, wrap_angle
 from service.kernels.estimator import (
@@ -103,6 +104,7 @@ class Estimator:
         self._gyro_rate = 0.0
         self._jump_reported_ns = 0  # next warning at the earliest
         self._still = Standstill()
+        self._slip = WheelSlip()
         self._is_unconfirmed_stop = False  # as in Standstill, since the last scan
         self._consistent: ConsistentCovariance | None = None  # while only scans measure the motion; [31]
         self._standing: UnprovenStandstill | None = None  # while odometry has never moved; [30]
@@ -123,6 +125,7 @@ class Estimator:
         self._has_begun = False
         self._origin_ns: int | None = None
         self._elapsed_s = 0.0
+        self._before = SE2()  # pose at the last scan
 
     @property
     def fault(self) -> Reason:
@@ -162,7 +165,7 @@ class Estimator:
 
     def predict(self, stamp_ns: int) -> Prediction:
         state = self.filter
-        before = SE2(*self._pose.tolist())
+        before = self._before = SE2(*self._pose.tolist())
         pause_s = 0.0
         if not self._has_begun:
             self._has_begun = True
@@ -172,6 +175,9 @@ class Estimator:
             if self._elapsed_s > PAUSE_NS * 1e-9:
                 pause_s = self._used_odometry.longest_pause_s(int(state["stamp_ns"]), stamp_ns)
             self._predict(stamp_ns)
+            slipped = self._slip.step(self._elapsed_s)
+            if slipped is not None:
+                self._widen(slipped)
             used = self._used_odometry
             if pause_s > 0.0 and used.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= SPEED_WINDOW_NS:
                 self._begin_twist(stamp_ns)
@@ -291,6 +297,8 @@ class Estimator:
                 self._consistent.correct(self._record, pose, measured)
             weight, information = measured.prior_weight, measured.information
             take_match(self._record, np.array(pose), covariance, weight, information)
+            driven_m = float(self._newest_increment["step"][0])
+            self._slip.compare(information, driven_m - self._before.between(pose).x_m)
         elif not self._newest_increment["has_odometry"]:
             self._twist *= math.exp(-self._elapsed_s / FADE_S)
         published = self._covariances[-1][MAP_BLOCK, MAP_BLOCK].copy()
@@ -391,6 +399,12 @@ class Estimator:
                     )  # fmt: skip
                 self._still = Standstill(has_moved=True)
         self._odometry.append(sample.stamp_ns, value)
+        if self._slip.add(self._odometry.track) and self._may_warn(sample.stamp_ns):
+            log.warning(
+                "%s: odometry's speed jumps by %+.1f m/s, faster than a vehicle accelerates (%.0f m/s^2); "
+                "along a direction that scans leave open the pose is uncertain by it. Do wheels slip?",
+                sample.sensor, self._slip.speed_mps, MAX_BRAKING_MPS2,
+            )  # fmt: skip
         return True
 
     def _catch_up(self, hidden: Matrix) -> None:
@@ -411,7 +425,15 @@ class Estimator:
     def _begin_odometry(self) -> None:
         """Drop odometry's samples: the motion since the last one is unknown."""
         self._odometry.clear()
+        self._slip = WheelSlip()
         self.filter["odometry_used"]["is_known"] = False
+
+    def _may_warn(self, stamp_ns: int) -> bool:
+        """Whether the last warning of a jump of odometry is WARNING_INTERVAL_NS ago."""
+        if stamp_ns < self._jump_reported_ns:
+            return False
+        self._jump_reported_ns = stamp_ns + WARNING_INTERVAL_NS
+        return True
 
     def _has_restarted(self, sample: OdometrySample, last: int) -> bool:
         """Whether odometry has jumped since the previous sample, as after a restart of the base's computer.
@@ -425,8 +447,7 @@ class Estimator:
         within_s = max(elapsed_s, MAX_SILENT_S)  # stamps of a burst are closer together than its samples
         if jump_m <= MAX_SPEED_MPS * within_s and jump_rad <= MAX_TURN_RADPS * within_s:
             return False
-        if sample.stamp_ns >= self._jump_reported_ns:
-            self._jump_reported_ns = sample.stamp_ns + WARNING_INTERVAL_NS
+        if self._may_warn(sample.stamp_ns):
             log.warning(
                 "%s: odometry jumps by %.1f m and %.0f deg within %.3f s (expected at most %.0f m/s and "
                 "%.0f rad/s); it counts as restarted. Has the base restarted?",
