@@ -126,6 +126,11 @@ RULES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {"hidden_motion": lambda *_: None},
     ),
     (
+        "wheels that jump in speed slip ([39])",
+        "service.estimator.wheel_slip.WheelSlip",
+        {"step": lambda *_: None},
+    ),
+    (
         "odometry may be wrong where the map contradicts a scan near its prediction ([37])",
         f"{METHOD}.surfel_gauss_newton.SurfelGaussNewton",
         {"_matched_by_inertia": lambda _, aligned, attempt: aligned},
