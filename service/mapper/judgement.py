@@ -17,7 +17,7 @@ MIN_RETURNS = 5  # fewer are not matched: three unknowns, and two to check them
 MIN_CONFIRMING = 20  # returns of a scan for `ok`
 MAX_SIGMA_M, MAX_SIGMA_RAD = 0.15, math.radians(3.0)  # `ok`: sigma of the pose against the map
 # `ok`: sigma of the pose in the map, with the drift since known ground was last seen
-MAX_DRIFT_M, MAX_DRIFT_RAD = 0.5, math.radians(10.0)
+MAX_DRIFT_M, MAX_DRIFT_RAD = 0.3, math.radians(10.0)
 LOST_SIGMA_M, LOST_SIGMA_RAD = 0.75, 0.35  # above it lost: several poses may match
 TIGHT_SIGMA_M, TIGHT_SIGMA_RAD = 0.5, 0.4  # a prediction within it carries the pose onto new ground
 # Least share on walls of the returns on known ground. Over 8 recorded and 10 simulated drives it is 0.90 to
