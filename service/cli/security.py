@@ -47,7 +47,11 @@ def add_security(commands: Any, add: Add) -> None:
     what_to_do = tokens.add_subparsers(dest="token_work", metavar="WORK", required=True)
     give = add(what_to_do, "add", "make a token and print it once; one of that name before is revoked")
     give.add_argument("name", type=_name, metavar="NAME", help="whose it is")
-    give.add_argument("--role", choices=("viewer", "operator"), default="operator", help="default: operator")
+    give.add_argument(
+        "--role",
+        choices=("viewer", "operator"),
+        help="default: as the one before of that name, else operator",
+    )
     give.add_argument("--days", type=_days, metavar="N", help="until it expires (default: never)")
     revoke = add(what_to_do, "revoke", "a token holds no more, at once, also where it was shown before")
     revoke.add_argument("name", type=_name, metavar="NAME", help="whose it is")
@@ -77,8 +81,10 @@ def _token(parsed: argparse.Namespace) -> int:
     match parsed.token_work:
         case "add":
             expires_s = now_s + parsed.days * DAY_S if parsed.days is not None else None
-            result |= {"name": parsed.name, "role": parsed.role, "days": parsed.days}
-            result |= {"token": add_grant(path, parsed.name, parsed.role, expires_s)}
+            before = {grant.name: grant.role for grant in read_grants(path)}
+            role = parsed.role or before.get(parsed.name, "operator")
+            result |= {"name": parsed.name, "role": role, "days": parsed.days}
+            result |= {"token": add_grant(path, parsed.name, role, expires_s)}
         case "revoke":
             revoke_grant(path, parsed.name)
             result |= {"revoked": parsed.name}

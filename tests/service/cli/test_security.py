@@ -52,3 +52,13 @@ def test_tokens_of_the_page_are_added_listed_and_revoked(tmp_path, capsys):
     result("revoke", "anna")
     assert [one["name"] for one in result("list")["tokens"]] == ["hall"]
     assert code_of(["security", "token", "revoke", "anna", *place]) == InputError.exit_code
+
+
+def test_a_token_that_is_made_again_keeps_its_role(tmp_path, capsys):
+    """A viewer whose token is lost must not become an operator."""
+    place = ["--token-file", str(tmp_path / "web.token"), "--json"]
+    roles = []
+    for role in (["--role", "viewer"], [], ["--role", "operator"], []):
+        assert code_of(["security", "token", "add", "anna", *role, *place]) == 0
+        roles.append(json.loads(capsys.readouterr().out)["role"])
+    assert roles == ["viewer", "viewer", "operator", "operator"]
