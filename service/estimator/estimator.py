@@ -175,9 +175,8 @@ class Estimator:
             if self._elapsed_s > PAUSE_NS * 1e-9:
                 pause_s = self._used_odometry.longest_pause_s(int(state["stamp_ns"]), stamp_ns)
             self._predict(stamp_ns)
-            slipped = self._slip.step(self._elapsed_s)
-            if slipped is not None:
-                self._widen(slipped)
+            if self._newest_increment["has_odometry"]:
+                self._widen(self._slip.step(self._elapsed_s))
             used = self._used_odometry
             if pause_s > 0.0 and used.covered_ns(stamp_ns - PAUSE_NS, stamp_ns) >= SPEED_WINDOW_NS:
                 self._begin_twist(stamp_ns)
@@ -297,8 +296,9 @@ class Estimator:
                 self._consistent.correct(self._record, pose, measured)
             weight, information = measured.prior_weight, measured.information
             take_match(self._record, np.array(pose), covariance, weight, information)
-            driven_m = float(self._newest_increment["step"][0])
-            self._slip.compare(information, driven_m - self._before.between(pose).x_m)
+            if self._newest_increment["has_odometry"]:
+                driven_m = float(self._newest_increment["step"][0])
+                self._slip.compare(information, driven_m - self._before.between(pose).x_m)
         elif not self._newest_increment["has_odometry"]:
             self._twist *= math.exp(-self._elapsed_s / FADE_S)
         published = self._covariances[-1][MAP_BLOCK, MAP_BLOCK].copy()
@@ -415,8 +415,10 @@ class Estimator:
         state["odometry_used"]["is_known"] = False
         self._widen(gap)
 
-    def _widen(self, gap: Matrix) -> None:
+    def _widen(self, gap: Matrix | None) -> None:
         """Add a covariance (3, 3), base axes, to the pose against the first scan and the local map."""
+        if gap is None:
+            return
         for covariance in self._covariances:
             for rows in (LOCAL_BLOCK, MAP_BLOCK):
                 for columns in (LOCAL_BLOCK, MAP_BLOCK):
