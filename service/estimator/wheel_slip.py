@@ -1,9 +1,9 @@
 """Wheels that change their speed faster than a vehicle can: they slip, or it has hit something; [39].
 
-Where a scan leaves the direction of travel open, odometry alone measures the way along it, and nothing
-contradicts wheels that slip but their acceleration: grip limits that of a vehicle, not that of a wheel which
-has lost it. From then on the vehicle may go on at the speed before. The way by which both differ is an error
-of the pose, until scans that fix the position show that it has that of the wheels, or these return.
+Where a scan leaves the direction of travel open, odometry alone measures the motion along it, and only the
+acceleration of the wheels shows that they slip: grip limits that of a vehicle, not that of a wheel which has
+lost it. From then on the vehicle may continue at the speed before. The distance between both is an error of
+the pose, until scans that fix the position confirm the speed of the wheels, or these return to that before.
 """
 
 import math
@@ -32,7 +32,7 @@ class WheelSlip:
     _count: int = 0  # of samples in it, at most USUAL_SAMPLES
     _slipped_m: float = 0.0  # since the wheels began to slip
     _elapsed_s: float = 0.0  # between the last two scans
-    # While each scan has fixed the position: time, s, and way ahead by odometry less that by scans, m.
+    # While each scan has fixed the position: time, s, and distance by odometry less that by scans, m.
     _fixed: tuple[float, float] | None = None
 
     def add(self, track: Track) -> bool:
@@ -45,8 +45,8 @@ class WheelSlip:
         if not 0 <= oldest < middle < newest or elapsed_s > MAX_WINDOWS_S:
             return False
         poses = track.value[first:end, :3]
-        change_mps = _ahead_m(poses, middle, newest) / (int(stamps[newest] - stamps[middle]) * 1e-9)
-        change_mps -= _ahead_m(poses, oldest, middle) / (int(stamps[middle] - stamps[oldest]) * 1e-9)
+        change_mps = _forward_m(poses, middle, newest) / (int(stamps[newest] - stamps[middle]) * 1e-9)
+        change_mps -= _forward_m(poses, oldest, middle) / (int(stamps[middle] - stamps[oldest]) * 1e-9)
         is_usual = change_mps**2 <= CHI2_99999_OF_3 * self._usual_m2ps2
         is_possible = abs(change_mps) <= MAX_BRAKING_MPS2 * 0.5 * elapsed_s
         if not is_usual and not is_possible and self._count == USUAL_SAMPLES:
@@ -73,7 +73,7 @@ class WheelSlip:
         """Take a match.
 
         information   (3, 3) of the scan alone, base axes
-        apart_m       way ahead since the last scan by odometry, less that by scans
+        apart_m       distance forward since the last scan by odometry, less that by scans
         """
         if not self.speed_mps:
             return
@@ -92,8 +92,8 @@ class WheelSlip:
                 self.speed_mps = 0.0
 
 
-def _ahead_m(poses: Matrix, begin: int, end: int) -> float:
-    """Way ahead between two rows of poses (N, 3)."""
+def _forward_m(poses: Matrix, begin: int, end: int) -> float:
+    """Distance forward between two rows of poses (N, 3)."""
     x_m, y_m, _ = (poses[end] - poses[begin]).tolist()
     heading_rad = float(poses[begin, 2])
     return float(x_m * math.cos(heading_rad) + y_m * math.sin(heading_rad))

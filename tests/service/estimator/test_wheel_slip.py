@@ -32,7 +32,7 @@ def jumping(*speeds_mps: float) -> np.ndarray:
     return np.repeat(speeds_mps, 200)
 
 
-def test_a_speed_that_jumps_is_no_motion_of_the_vehicle() -> None:
+def test_a_jump_of_speed_is_a_slip() -> None:
     assert driven(jumping(1.0, 1.5)).speed_mps == pytest.approx(0.5, abs=0.15)
     assert driven(jumping(2.0, 1.0)).speed_mps == pytest.approx(-1.0, abs=0.15)
 
@@ -47,12 +47,12 @@ def test_a_speed_that_jumps_is_no_motion_of_the_vehicle() -> None:
         pytest.param(driven(jumping(1.0, 1.0), jitter_ms=6.0), id="stamps that jitter"),
     ],
 )
-def test_wheels_roll(slip: WheelSlip) -> None:
+def test_other_changes_of_speed_are_no_slip(slip: WheelSlip) -> None:
     assert slip.speed_mps == 0.0
     assert slip.step(SCAN_S) is None
 
 
-def test_the_way_that_may_be_slipped_grows_until_scans_fix_the_position() -> None:
+def test_sigma_grows_by_the_slip_while_scans_leave_a_direction_open() -> None:
     slip = driven(jumping(1.0, 1.5))
     variance_m2 = 0.0
     for _ in range(20):
@@ -64,7 +64,7 @@ def test_the_way_that_may_be_slipped_grows_until_scans_fix_the_position() -> Non
 
 
 @pytest.mark.parametrize(("slipping_mps", "is_slipping"), [(0.0, False), (0.45, True)])
-def test_scans_that_fix_the_position_tell_whether_wheels_slip(slipping_mps: float, is_slipping: bool) -> None:
+def test_scans_that_fix_the_position_confirm_or_refute_a_slip(slipping_mps: float, is_slipping: bool) -> None:
     slip = driven(jumping(1.0, 1.5))
     for _ in range(12):
         slip.step(SCAN_S)
@@ -79,7 +79,7 @@ def test_scans_that_fix_the_position_tell_whether_wheels_slip(slipping_mps: floa
         (Case("wheels_spin", "ring", 808, 0.068, 1.0, laser=MIRRORS["360 deg, 12 m, 8 Hz"]), 3.0),
     ],
 )
-def test_wheels_that_spin_in_a_bare_corridor_are_no_certain_way(case: Case, worst_m: float) -> None:
+def test_a_pose_is_not_ok_where_wheels_have_spun_in_a_bare_corridor(case: Case, worst_m: float) -> None:
     verdict, *_ = judged(case)
     assert verdict.worst_m < worst_m
     assert verdict.ok_off == 0
